@@ -1,0 +1,10 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`python -m curecon_blender.core`: the command line, the same entry that the add-on's worker uses."""
+
+import sys
+
+from .worker import main
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,201 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""COLMAP models on disk: finding, reading and checking a given one, fitting it to the photos, writing ours."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import pycolmap
+
+from .errors import SparseError
+from .files import disk_errors
+from .georeference import FRAME_FILE, read_frame, write_frame
+from .messages import Reporter
+from .types import Frame, Photo, PhotoSet
+
+_READ_ERRORS = (ValueError, IndexError, RuntimeError, MemoryError)  # what pycolmap raises on malformed files
+SIZE_TOLERANCE = 0.01  # relative difference of aspect ratios that rounding to whole pixels can make
+
+
+def find_models(folder: Path) -> list[Path]:
+    """The folders that hold the models meant by `folder`: itself, its `sparse`, or `0`, `1`... in either.
+
+    Raises SparseError when there is none.
+    """
+    for base in (folder, folder / "sparse"):
+        if _is_model(base):
+            return [base]
+        if base.is_dir():
+            numbered = [path for path in base.iterdir() if path.name.isdigit() and _is_model(path)]
+            if numbered:
+                return sorted(numbered, key=lambda path: int(path.name))
+    what = "does not exist" if not folder.exists() else "holds no COLMAP model (cameras and images, .txt or .bin)"
+    raise SparseError(
+        f"{folder} {what}.",
+        remedy="Choose the folder with cameras.txt and images.txt, or cameras.bin and images.bin.", path=folder,
+    )
+
+
+def _is_model(folder: Path) -> bool:
+    return any(all((folder / f"{name}{suffix}").is_file() for name in ("cameras", "images"))
+               for suffix in (".bin", ".txt"))
+
+
+def read_model(folder: Path) -> pycolmap.Reconstruction:
+    """The COLMAP model in `folder`, text or binary, with or without points. Raises SparseError when malformed."""
+    suffix = ".bin" if all((folder / f"{name}.bin").is_file() for name in ("cameras", "images")) else ".txt"
+    with tempfile.TemporaryDirectory() as scratch:
+        if not (folder / f"points3D{suffix}").is_file():  # cameras alone: pycolmap wants the file, if empty
+            shutil.copytree(folder, scratch, dirs_exist_ok=True, ignore=lambda _, names: [
+                name for name in names if Path(name).suffix != suffix
+            ])
+            (Path(scratch) / f"points3D{suffix}").write_bytes(bytes(8) if suffix == ".bin" else b"")
+            source = Path(scratch)
+        else:
+            source = folder
+        model = pycolmap.Reconstruction()
+        try:
+            model.read_binary(source) if suffix == ".bin" else model.read_text(source)
+        except _READ_ERRORS as error:
+            raise SparseError(
+                f"The COLMAP model in {folder} cannot be read: its {suffix} files are damaged, cut short or do not "
+                f"belong together ({_first_line(error)}).",
+                remedy="Export the model again (COLMAP: File > Export model), all of its files into one folder.",
+                path=folder,
+            ) from error
+    for camera in model.cameras.values():
+        if camera.is_spherical() or not camera.verify_params():
+            raise SparseError(
+                f"Camera {camera.camera_id} of the model in {folder} ({camera.model_name}) cannot be used.",
+                remedy="Use perspective or fisheye cameras with all of their parameters, not panoramas.", path=folder,
+            )
+    return model
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).strip().splitlines() or [type(error).__name__])[0]
+
+
+def fit_to_photos(
+    model: pycolmap.Reconstruction, photo_set: PhotoSet, folder: Path, reporter: Reporter
+) -> pycolmap.Reconstruction:
+    """A given model with its images named as the photos, at the photos' size, without images that have no photo.
+
+    Poses are kept exactly, and so are cameras, unless the photos have another resolution. Raises SparseError when
+    fewer than three photos are left, or a photo's size contradicts its camera.
+    """
+    find = _photo_finder(photo_set.photos)
+    matched: dict[int, Photo] = {}
+    missing = []
+    for image_id in sorted(model.reg_image_ids()):
+        photo = find(model.image(image_id).name)
+        if photo is None or photo in matched.values():
+            missing.append(model.image(image_id).name)
+        else:
+            matched[image_id] = photo
+    if len(matched) < 3:
+        raise SparseError(
+            f"Only {len(matched)} of the {model.num_reg_images()} images in the model {folder} are among the photos.",
+            remedy="Choose the folder with the photos from which the model was made; their file names must agree.",
+            path=folder,
+        )
+    if missing:
+        reporter.warning(f"{len(missing)} images of the model have no photo and were left out: {listed(missing)}.")
+    _scale_to_photos(model, matched, folder)
+    for image_id in model.reg_image_ids():
+        if image_id not in matched:
+            model.deregister_frame(model.image(image_id).frame_id)
+    model.tear_down()
+    for image_id, photo in matched.items():
+        model.image(image_id).name = photo.name
+    return model
+
+
+def _photo_finder(photos: Iterable[Photo]) -> Callable[[str], Photo | None]:
+    """Finds the photo that an image name in a model means: by its path's end, its name in the job, whatever case.
+
+    A name that could mean several photos means none of them.
+    """
+    tables: list[dict[str, list[Photo]]] = [{}, {}, {}, {}]
+    for photo in photos:
+        parts = photo.path.as_posix().split("/")
+        for start in range(len(parts)):
+            tables[0].setdefault("/".join(parts[start:]), []).append(photo)
+        tables[1].setdefault(photo.name, []).append(photo)
+        tables[2].setdefault(photo.path.name, []).append(photo)
+        for name in {photo.name.casefold(), photo.path.name.casefold()}:
+            tables[3].setdefault(name, []).append(photo)
+
+    def find(name: str) -> Photo | None:
+        name = name.replace("\\", "/")
+        base = name.rsplit("/", 1)[-1]
+        for table, key in zip(tables, (name, name, base, base.casefold()), strict=True):
+            if len(table.get(key, ())) == 1:
+                return table[key][0]
+        return None
+
+    return find
+
+
+def _scale_to_photos(model: pycolmap.Reconstruction, matched: dict[int, Photo], folder: Path) -> None:
+    sizes: dict[int, tuple[int, int]] = {}
+    for image_id, photo in matched.items():
+        camera = model.camera(model.image(image_id).camera_id)
+        ratio = (photo.width / camera.width) / (photo.height / camera.height)
+        first = sizes.setdefault(camera.camera_id, (photo.width, photo.height))
+        if abs(ratio - 1) > SIZE_TOLERANCE or first != (photo.width, photo.height):
+            raise SparseError(
+                f"{photo.name} has {photo.width}x{photo.height} pixels, but its camera in the model {folder} has "
+                f"{camera.width}x{camera.height}.",
+                remedy="Use the photos from which the model was made (scaled evenly, if at all; not cropped or turned).",
+                path=photo.path,
+            )
+    for image_id in matched:
+        image = model.image(image_id)
+        camera, (width, height) = model.camera(image.camera_id), sizes[image.camera_id]
+        if (camera.width, camera.height) != (width, height):
+            for point in image.points2D:
+                point.xy = point.xy * (width / camera.width, height / camera.height)
+    for camera_id, (width, height) in sizes.items():
+        camera = model.camera(camera_id)
+        if (camera.width, camera.height) != (width, height):
+            camera.rescale(width, height)
+
+
+def write_components(workspace: Path, components: list[tuple[pycolmap.Reconstruction, Frame]]) -> None:
+    """Put the components in place of the workspace's `sparse/0`, `sparse/1`..., each folder all or nothing."""
+    sparse = workspace / "sparse"
+    with disk_errors(sparse):
+        sparse.mkdir(parents=True, exist_ok=True)
+        for index, (model, frame) in enumerate(components):
+            partial = sparse / f".{index}.partial"
+            shutil.rmtree(partial, ignore_errors=True)
+            partial.mkdir()
+            model.write_binary(partial)
+            write_frame(partial, frame)
+        for old in sparse.iterdir():
+            if old.name.isdigit():
+                shutil.rmtree(old)
+        for index in range(len(components)):
+            os.replace(sparse / f".{index}.partial", sparse / str(index))
+
+
+def given_frame(folder: Path) -> Frame:
+    """The frame of a given model: what its own record says, if it is one of ours, else that nothing is known of it."""
+    if (folder / FRAME_FILE).is_file():
+        return read_frame(folder)
+    return Frame(
+        scale="unknown", up="given",
+        note="Cameras and frame are those of the given model; its scale and axes were taken as they are.",
+    )
+
+
+def listed(names: list[str], most: int = 5) -> str:
+    """The first few names, and how many more there are."""
+    shown = ", ".join(names[:most])
+    return shown if len(names) <= most else f"{shown} and {len(names) - most} more"

@@ -1,0 +1,202 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The one path by which pictures are read and written: any JPEG, PNG or TIFF in, upright 8-bit sRGB out."""
+
+from __future__ import annotations
+
+import io
+import struct
+import warnings
+import zlib
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from PIL import Image, ImageCms, UnidentifiedImageError
+
+from .errors import PhotoError
+from .files import atomic_write
+
+SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
+MAX_PIXELS = 500_000_000  # four times the largest drone and phone cameras; above it a header is more likely damaged
+
+# Pillow refuses pictures above 179 megapixels, as decompression bombs; MAX_PIXELS takes its place.
+Image.MAX_IMAGE_PIXELS = None
+# Pillow remarks on every odd tag on stderr; what matters of it comes back as an error or as a missing value.
+warnings.filterwarnings("ignore", module=r"PIL\.")
+
+_ORIENTATION = 0x0112
+_TRANSPOSITIONS = {
+    2: Image.Transpose.FLIP_LEFT_RIGHT, 3: Image.Transpose.ROTATE_180, 4: Image.Transpose.FLIP_TOP_BOTTOM,
+    5: Image.Transpose.TRANSPOSE, 6: Image.Transpose.ROTATE_270, 7: Image.Transpose.TRANSVERSE,
+    8: Image.Transpose.ROTATE_90,
+}
+# What Pillow's decoders and tag readers raise on damaged files.
+_DAMAGE = (
+    OSError, SyntaxError, ValueError, TypeError, KeyError, IndexError, EOFError, ArithmeticError, RuntimeError,
+    struct.error, zlib.error,
+)
+
+
+def read_rgb(path: Path, max_size: int | None = None) -> np.ndarray:
+    """The picture as (H,W,3) uint8 sRGB, EXIF orientation applied, alpha dropped.
+
+    With `max_size` (pixels) it is area-averaged down so that its longest side is at most that: see `scaled_size`.
+    Raises PhotoError naming the file when it is missing, truncated, not a picture, or above MAX_PIXELS.
+    """
+    with open_image(path) as image:
+        return decode(image, path, max_size)
+
+
+@contextmanager
+def open_image(path: Path) -> Iterator[Image.Image]:
+    """Open a JPEG, PNG or TIFF, whatever its suffix says, without decoding it. Raises PhotoError as `read_rgb` does."""
+    with ExitStack() as stack:
+        with _photo_errors(path):
+            # Opened by Python, not by OpenCV, which cannot open every name on Windows.
+            file = stack.enter_context(open(path, "rb"))
+            image = Image.open(file, formats=("JPEG", "PNG", "TIFF"))
+        if image.width * image.height > MAX_PIXELS:
+            raise PhotoError(
+                f"{shown(path)} has {image.width * image.height / 1e6:.0f} megapixels: "
+                f"at most {MAX_PIXELS / 1e6:.0f} can be read.",
+                remedy="Scale it down, or cut it into single photos.", path=path,
+            )
+        yield image
+
+
+def decode(image: Image.Image, path: Path, max_size: int | None = None) -> np.ndarray:
+    """`read_rgb` for an image open in `open_image`. Decodes all of the file, so that damage anywhere is found."""
+    size = scaled_size(*oriented_size(image), max_size)
+    with _photo_errors(path):
+        _draft(image, max_size)
+        image.load()
+        profile = image.info.get("icc_profile")
+        # Pillow turns a TIFF upright as it loads it.
+        turn = None if image.format == "TIFF" else _TRANSPOSITIONS.get(_orientation(image))
+        rgb = _to_rgb(image if turn is None else image.transpose(turn), profile)
+    return rgb if size == (rgb.shape[1], rgb.shape[0]) else cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
+
+
+def scaled_size(width: int, height: int, max_size: int | None) -> tuple[int, int]:
+    """(width, height) in pixels after scaling down so that the longest side is at most `max_size`; never up."""
+    longest = max(width, height)
+    if max_size is None or longest <= max_size:
+        return width, height
+    return max(1, round(width * max_size / longest)), max(1, round(height * max_size / longest))
+
+
+def oriented_size(image: Image.Image) -> tuple[int, int]:
+    """(width, height) in pixels after the EXIF orientation, of an image that is open and not yet decoded."""
+    if image.format != "TIFF" and _orientation(image) >= 5:
+        return image.height, image.width
+    return image.width, image.height
+
+
+def exif_tags(image: Image.Image, ifd: int | None = None) -> dict[int, Any]:
+    """The image's EXIF tags (of its main directory, or of `ifd`); a tag that cannot be read is left out."""
+    try:
+        exif = image.getexif()
+        directory = exif if ifd is None else exif.get_ifd(ifd)
+        keys = list(directory)
+    except _DAMAGE:
+        return {}
+    tags = {}
+    for key in keys:
+        try:
+            tags[key] = directory[key]
+        except _DAMAGE:
+            continue
+    return tags
+
+
+def write_jpeg(path: Path, rgb: np.ndarray, quality: int = 95) -> None:
+    """Write (H,W,3) uint8 sRGB as a JPEG, atomically. Raises WorkspaceError when the disk is full or read-only."""
+    # Encoded in memory first: Pillow's own error on a full disk does not tell that the disk is full.
+    encoded = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(rgb)).save(encoded, "JPEG", quality=quality)
+    with atomic_write(path) as file:
+        file.write(encoded.getbuffer())
+
+
+def shown(path: Path) -> str:
+    """A file's name as it can stand in a one-line message."""
+    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in path.name)
+
+
+@contextmanager
+def _photo_errors(path: Path) -> Iterator[None]:
+    """Turn what reading a picture can raise into an error for people."""
+    try:
+        yield
+    except FileNotFoundError as error:
+        raise PhotoError(
+            f"{shown(path)} does not exist.", remedy="Put the photo back where it was, or check the photos again.",
+            path=path,
+        ) from error
+    except PermissionError as error:
+        raise PhotoError(
+            f"No permission to read {shown(path)}.", remedy="Change the file's permissions, or leave it out.", path=path
+        ) from error
+    except UnidentifiedImageError as error:
+        raise PhotoError(
+            f"{shown(path)} is not a JPEG, PNG or TIFF picture.", remedy="Leave it out, or export it again as JPEG.",
+            path=path,
+        ) from error
+    except MemoryError as error:
+        raise PhotoError(
+            f"There is not enough memory to read {shown(path)}.", remedy="Close other programs, or scale it down.",
+            path=path,
+        ) from error
+    except _DAMAGE as error:
+        raise PhotoError(
+            f"{shown(path)} is damaged or cut short ({error}).",
+            remedy="Copy it from the camera again, or leave it out.", path=path,
+        ) from error
+
+
+def _orientation(image: Image.Image) -> int:
+    value = exif_tags(image).get(_ORIENTATION, 1)
+    return value if isinstance(value, int) else 1
+
+
+def _draft(image: Image.Image, max_size: int | None) -> None:
+    """Let libjpeg average 2, 4 or 8 pixels as it decodes: several times faster. Only where that divides evenly, and
+    what is left is scaled by nothing or by 2 and more: averaging twice by little would soften the picture."""
+    if max_size is None or image.format not in ("JPEG", "MPO"):
+        return
+    width, height = image.size
+    for step in (8, 4, 2):
+        longest = max(width, height) // step
+        if width % step == 0 and height % step == 0 and (longest == max_size or longest >= 2 * max_size):
+            image.draft(None, (width // step, height // step))
+            return
+
+
+def _to_rgb(image: Image.Image, profile: bytes | None) -> np.ndarray:
+    if image.mode.startswith("I;16") or image.mode == "I":
+        grey = np.asarray(image)
+        if grey.min() < 0 or grey.max() > 65535:
+            raise ValueError("its values go beyond 16 bits")
+        return cv2.cvtColor(cv2.convertScaleAbs(grey.astype(np.uint16), alpha=1 / 257), cv2.COLOR_GRAY2RGB)
+    if image.mode == "F":
+        raise ValueError("it holds measurements in floating point, not a photo")
+    if profile and image.mode in ("RGB", "CMYK"):
+        image = _to_srgb(image, profile)
+    return np.array(image if image.mode == "RGB" else image.convert("RGB"))
+
+
+def _to_srgb(image: Image.Image, profile: bytes) -> Image.Image:
+    """Convert from the embedded colour profile (Display P3, Adobe RGB, a press's CMYK...) to sRGB."""
+    try:
+        source = ImageCms.ImageCmsProfile(io.BytesIO(profile))
+        if "sRGB" in ImageCms.getProfileDescription(source):
+            return image
+        converted = ImageCms.profileToProfile(image, source, ImageCms.createProfile("sRGB"), outputMode="RGB")
+    except (ImageCms.PyCMSError, OSError):  # a damaged profile says nothing of the colours: read them as they stand
+        return image
+    assert converted is not None  # it is None only for in-place conversion
+    return converted

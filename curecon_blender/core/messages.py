@@ -1,0 +1,148 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a worker tells its parent: a small closed set of messages, one JSON object a line."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from .errors import Cancelled, CuReconError
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageStarted:
+    stage: str
+    index: int  # of `count` stages, from 0
+    count: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Progress:
+    """`done` of `total` units in `stage`; `overall` in [0, 1] over the job; `eta` seconds left, if known."""
+
+    stage: str
+    done: int
+    total: int
+    overall: float
+    eta: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Warning:
+    text: str
+    photo: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Log:
+    text: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """The job's JSON summary: the same that `--json` prints."""
+
+    summary: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Failure:
+    kind: str
+    message: str
+    remedy: str
+    path: str | None = None
+    exit_code: int = 1
+
+
+Message = StageStarted | Progress | Warning | Log | Result | Failure
+_KINDS: dict[str, type[Message]] = {
+    "stage": StageStarted, "progress": Progress, "warning": Warning, "log": Log, "result": Result, "failure": Failure,
+}
+_NAMES = {cls: name for name, cls in _KINDS.items()}
+
+
+def encode(message: Message) -> str:
+    """One line of ASCII JSON, without the line end."""
+    return json.dumps({"type": _NAMES[type(message)], **asdict(message)})
+
+
+def decode(line: str) -> Message:
+    """The message in a line. Raises ValueError for anything that is not one of the closed set."""
+    try:
+        fields = json.loads(line)
+        return _KINDS[fields.pop("type")](**fields)
+    except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
+        raise ValueError(f"not a worker message: {line[:200]!r}") from error
+
+
+def failure(error: CuReconError) -> Failure:
+    return Failure(
+        kind=error.kind, message=error.message, remedy=error.remedy, path=error.path, exit_code=error.exit_code
+    )
+
+
+# Share of a typical job's time by stage, for the overall progress (measured on the sample site, standard quality).
+STAGE_WEIGHTS = {"photos": 0.02, "sparse": 0.2, "views": 0.03, "depth": 0.65, "fusion": 0.1}
+
+
+class Reporter:
+    """Passes a job's messages to `sink` and carries the wish to cancel the other way.
+
+    Stages call `progress` often: it also raises Cancelled when `cancelled` has come true, so that a stage needs no
+    code of its own for it.
+    """
+
+    def __init__(
+        self, sink: Callable[[Message], None] = lambda message: None, cancelled: Callable[[], bool] = lambda: False
+    ) -> None:
+        self._sink = sink
+        self.cancelled = cancelled
+        self._stages = tuple(STAGE_WEIGHTS)
+        self._stage = self._stages[0]
+        self._started = time.monotonic()
+        self._fresh_from = 0
+        self.warnings: list[str] = []
+
+    def begin(self, stages: tuple[str, ...]) -> None:
+        """Name the job's stages, in order, for the overall progress."""
+        self._stages, self._stage = stages, stages[0]
+
+    def stage(self, stage: str) -> None:
+        self.check_cancelled()
+        self._stage, self._started, self._fresh_from = stage, time.monotonic(), 0
+        self._sink(StageStarted(stage=stage, index=self._stages.index(stage), count=len(self._stages)))
+
+    def progress(self, done: int, total: int, *, fresh: bool = True) -> None:
+        """`fresh=False` for units found finished from an earlier run: they take no time, so no ETA comes of them."""
+        self.check_cancelled()
+        if not fresh:
+            self._fresh_from, self._started = done, time.monotonic()
+        weights = [STAGE_WEIGHTS[s] for s in self._stages]
+        index = self._stages.index(self._stage)
+        whole = sum(weights)
+        overall = (sum(weights[:index]) + weights[index] * done / max(total, 1)) / whole
+        eta = None
+        if done > self._fresh_from:
+            per_unit = (time.monotonic() - self._started) / (done - self._fresh_from)
+            stage_left = per_unit * (total - done)
+            later = per_unit * total * sum(weights[index + 1 :]) / weights[index]
+            eta = stage_left + later
+        self._sink(Progress(stage=self._stage, done=done, total=total, overall=overall, eta=eta))
+
+    def warning(self, text: str, photo: str | None = None) -> None:
+        self.warnings.append(text)
+        self._sink(Warning(text=text, photo=photo))
+
+    def log(self, text: str) -> None:
+        self._sink(Log(text=text))
+
+    def result(self, summary: dict[str, Any]) -> None:
+        self._sink(Result(summary=summary))
+
+    def check_cancelled(self) -> None:
+        if self.cancelled():
+            raise Cancelled()

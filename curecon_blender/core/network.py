@@ -1,0 +1,316 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""LCM-MVSNet: cascade multi-view stereo whose cost volume weights each source view by its matching score.
+
+Source: Li, Yang et al., "SD-3DR" (LCM-MVSNet), with the corrections noted at Eq. 2 and Eq. 3 below.
+
+Shapes: B samples, V views (reference first), N = V - 1 sources, C channels, K groups, M depth hypotheses; level
+l = 2, 1, 0 works at 1/4, 1/2, 1/1 of the photo. Pixel centres lie at .5. Depth is swept in the coordinate t in
+[0, 1], uniform in inverse depth: t = 0 at `near`, t = 1 at `far`, growing with depth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+LEVELS = (2, 1, 0)  # coarse to fine
+MULTIPLE = 32  # heights and widths must divide by this: four scales of the regulariser at the coarsest level
+
+
+@dataclass(frozen=True, kw_only=True)
+class NetworkConfig:
+    """Sizes of the network, by level 0, 1, 2. `bins` is how many finest intervals the whole range has."""
+
+    channels: tuple[int, int, int] = (8, 16, 32)
+    groups: tuple[int, int, int] = (8, 8, 8)
+    hypotheses: tuple[int, int, int] = (8, 16, 48)
+    interval_ratios: tuple[int, int, int] = (1, 2, 4)
+    regulariser_channels: int = 8
+    bottom_up: bool = True
+
+    @property
+    def bins(self) -> int:
+        return self.hypotheses[2] * self.interval_ratios[2]
+
+    def interval(self, level: int) -> float:
+        """Distance r of a level's hypotheses, in t."""
+        return self.interval_ratios[level] / self.bins
+
+
+@dataclass(frozen=True)
+class LevelOutput:
+    """One level's result at its own resolution (h, w).
+
+    `logits` (B,M,h,w) of the unified probability volume P; `first` (B,1,h,w) is t of the first hypothesis;
+    `interval` is r in t; `t` (B,1,h,w) the estimate; `confidence` (B,1,h,w) in [0, 1], this level's and the
+    coarser levels' together.
+    """
+
+    logits: Tensor
+    first: Tensor
+    interval: float
+    t: Tensor
+    confidence: Tensor
+
+
+def depth_from_t(t: Tensor, near: Tensor, far: Tensor) -> Tensor:
+    """z-depth at sweep coordinate t; `near` and `far` (B,) broadcast over the last three dimensions."""
+    near, far = near.view(-1, 1, 1, 1), far.view(-1, 1, 1, 1)
+    return 1.0 / (1.0 / near + t * (1.0 / far - 1.0 / near))
+
+
+def t_from_depth(depth: Tensor, near: Tensor, far: Tensor) -> Tensor:
+    """Inverse of depth_from_t; depth must be positive."""
+    near, far = near.view(-1, 1, 1, 1), far.view(-1, 1, 1, 1)
+    return (1.0 / depth - 1.0 / near) / (1.0 / far - 1.0 / near)
+
+
+def _conv2d(inputs: int, outputs: int, kernel: int = 3, stride: int = 1) -> nn.Sequential:
+    # Even kernels for stride 2 keep the centre of an output pixel at the centre of the pixels it came from, so that
+    # a level's intrinsics are the photo's, scaled.
+    kernel = 4 if stride == 2 else kernel
+    padding = 1 if stride == 2 else kernel // 2
+    return nn.Sequential(
+        nn.Conv2d(inputs, outputs, kernel, stride, padding, bias=False), nn.BatchNorm2d(outputs), nn.ReLU(inplace=True)
+    )
+
+
+def _conv3d(inputs: int, outputs: int, stride: int = 1) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Conv3d(inputs, outputs, 3, stride, 1, bias=False), nn.BatchNorm3d(outputs), nn.ReLU(inplace=True)
+    )
+
+
+class FeaturePyramid(nn.Module):
+    """(B,3,H,W) to features (B,C_l,H/2^l,W/2^l): an FPN, then PANet's bottom-up path (paper, section on features)."""
+
+    def __init__(self, channels: tuple[int, int, int], bottom_up: bool) -> None:
+        super().__init__()
+        c0, c1, c2 = channels
+        self.stem = nn.Sequential(_conv2d(3, c0), _conv2d(c0, c0))
+        self.down1 = nn.Sequential(_conv2d(c0, c1, stride=2), _conv2d(c1, c1), _conv2d(c1, c1))
+        self.down2 = nn.Sequential(_conv2d(c1, c2, stride=2), _conv2d(c2, c2), _conv2d(c2, c2))
+        self.lateral2 = nn.Conv2d(c2, c2, 1)
+        self.lateral1 = nn.Conv2d(c1, c2, 1)
+        self.lateral0 = nn.Conv2d(c0, c2, 1)
+        self.smooth1 = nn.Conv2d(c2, c1, 3, padding=1)
+        self.smooth0 = nn.Conv2d(c2, c0, 3, padding=1)
+        self.bottom_up = bottom_up
+        if bottom_up:
+            self.up1, self.fuse1 = _conv2d(c0, c1, stride=2), nn.Conv2d(c1, c1, 3, padding=1)
+            self.up2, self.fuse2 = _conv2d(c1, c2, stride=2), nn.Conv2d(c2, c2, 3, padding=1)
+
+    def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        x0 = self.stem(image)
+        x1 = self.down1(x0)
+        x2 = self.down2(x1)
+        top2 = self.lateral2(x2)
+        top1 = F.interpolate(top2, scale_factor=2.0, mode="nearest") + self.lateral1(x1)
+        top0 = F.interpolate(top1, scale_factor=2.0, mode="nearest") + self.lateral0(x0)
+        p0, p1, p2 = self.smooth0(top0), self.smooth1(top1), top2
+        if self.bottom_up:
+            p1 = self.fuse1(p1 + self.up1(p0))
+            p2 = self.fuse2(p2 + self.up2(p1))
+        return p0, p1, p2
+
+
+class CostRegulariser(nn.Module):
+    """Four-scale 3D U-Net: cost volume (B,K,M,h,w) to logits (B,M,h,w). M, h and w must divide by 8."""
+
+    def __init__(self, groups: int, base: int) -> None:
+        super().__init__()
+        c = [base, base * 2, base * 4, base * 8]
+        self.enter = _conv3d(groups, c[0])
+        self.down = nn.ModuleList(
+            nn.Sequential(_conv3d(c[i], c[i + 1], stride=2), _conv3d(c[i + 1], c[i + 1])) for i in range(3)
+        )
+        self.up = nn.ModuleList(
+            nn.Sequential(
+                nn.ConvTranspose3d(c[i + 1], c[i], 2, 2, bias=False), nn.BatchNorm3d(c[i]), nn.ReLU(inplace=True)
+            )
+            for i in range(3)
+        )
+        self.leave = nn.Conv3d(c[0], 1, 3, padding=1)
+        nn.init.constant_(self.leave.bias, -2.5)  # type: ignore[arg-type]  # most hypotheses are wrong
+
+    def forward(self, cost: Tensor) -> Tensor:
+        skips = [self.enter(cost)]
+        for down in self.down:
+            skips.append(down(skips[-1]))
+        x = skips.pop()
+        for up in reversed(self.up):
+            x = up(x) + skips.pop()
+        logits: Tensor = self.leave(x).squeeze(1)
+        return logits
+
+
+def level_intrinsics(K: Tensor, level: int) -> Tensor:
+    """Intrinsics (...,3,3) of a level: pixel centres at .5 make it a plain scaling of the first two rows."""
+    scale = torch.tensor([0.5**level, 0.5**level, 1.0], dtype=K.dtype, device=K.device)
+    return K * scale.view(3, 1)
+
+
+def homography_terms(
+    K_ref: Tensor, K_src: Tensor, src_from_ref: Tensor, height: int, width: int
+) -> tuple[Tensor, Tensor]:
+    """Terms of the plane homographies: a pixel at inverse depth w maps to rotated + w * shifted, homogeneous.
+
+    Returns rotated (B,3,h*w) and shifted (B,3,1) for intrinsics (B,3,3) and poses (B,3,4).
+    """
+    y, x = torch.meshgrid(
+        torch.arange(height, device=K_ref.device, dtype=K_ref.dtype) + 0.5,
+        torch.arange(width, device=K_ref.device, dtype=K_ref.dtype) + 0.5,
+        indexing="ij",
+    )
+    pixels = torch.stack([x, y, torch.ones_like(x)]).reshape(1, 3, -1)
+    rotated = K_src @ src_from_ref[:, :, :3] @ torch.linalg.inv(K_ref) @ pixels
+    shifted = K_src @ src_from_ref[:, :, 3:]
+    return rotated, shifted
+
+
+def warp(feature: Tensor, rotated: Tensor, shifted: Tensor, inverse_depth: Tensor) -> Tensor:
+    """Source features (B,C,hs,ws) seen from the reference at `inverse_depth` (B,M,h,w): (B,C,M,h,w).
+
+    What falls outside the source, or behind it, is zero.
+    """
+    b, m, h, w = inverse_depth.shape
+    homogeneous = rotated.unsqueeze(2) + shifted.unsqueeze(2) * inverse_depth.reshape(b, 1, m, h * w)
+    z = homogeneous[:, 2]
+    size = torch.tensor([feature.shape[3], feature.shape[2]], dtype=z.dtype, device=z.device)
+    grid = homogeneous[:, :2] / z.clamp_min(1e-6).unsqueeze(1) * (2.0 / size).view(1, 2, 1, 1) - 1.0
+    grid = torch.where(z.unsqueeze(1) > 1e-6, grid, 2.0).clamp(-2.0, 2.0)
+    grid = grid.permute(0, 2, 3, 1).reshape(b, m * h, w, 2)
+    warped = F.grid_sample(feature, grid, mode="bilinear", padding_mode="zeros", align_corners=False)
+    return warped.reshape(b, -1, m, h, w)
+
+
+class LCMMVSNet(nn.Module):
+    """The whole network. `forward` takes colours in [0, 1] and returns the levels' outputs, coarse to fine."""
+
+    def __init__(self, config: NetworkConfig | None = None) -> None:
+        super().__init__()
+        self.config = config or NetworkConfig()
+        self.features = FeaturePyramid(self.config.channels, self.config.bottom_up)
+        self.regularisers = nn.ModuleList(
+            CostRegulariser(self.config.groups[level], self.config.regulariser_channels) for level in range(3)
+        )
+        self.alpha = nn.Parameter(torch.ones(3))  # alpha_l of Eq. 2
+
+    def pyramid(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Features of (B,3,H,W) colours in [0, 1], by level 0, 1, 2."""
+        features: tuple[Tensor, Tensor, Tensor] = self.features((images - 0.45) / 0.25)
+        return features
+
+    def cost_volume(
+        self,
+        level: int,
+        reference: Tensor,
+        sources: list[Tensor],
+        terms: list[tuple[Tensor, Tensor]],
+        weights: Tensor,
+        inverse_depth: Tensor,
+    ) -> Tensor:
+        """Eq. 2, the learnable cost metric: (B,K,M,h,w) from the reference's features (B,C,h,w), each source's, and
+        weights S_i / sum S (B,N). Eq. 2's sum over sources is taken first: it commutes with the product."""
+        b, c, m = reference.shape[0], reference.shape[1], inverse_depth.shape[1]
+        k = self.config.groups[level]
+        # Without gradients the hypotheses go in slices: the warped features, not the cost volume, are what is large.
+        slice_size = m if torch.is_grad_enabled() else 8
+        slices = []
+        for some in inverse_depth.split(slice_size, dim=1):
+            total: Tensor | None = None
+            for i, (source, (rotated, shifted)) in enumerate(zip(sources, terms, strict=True)):
+                warped = warp(source, rotated, shifted, some) * weights[:, i].view(-1, 1, 1, 1, 1)
+                total = warped if total is None else total + warped
+            assert total is not None, "a cost volume needs at least one source view"
+            product = total * reference.unsqueeze(2)
+            slices.append(product.reshape(b, k, c // k, *product.shape[2:]).mean(2))
+        similarity = torch.cat(slices, dim=2)
+        return self.alpha[level] * similarity
+
+    def forward(
+        self, images: Tensor, K: Tensor, cam_from_world: Tensor, near: Tensor, far: Tensor, scores: Tensor
+    ) -> list[LevelOutput]:
+        """Depth of the reference, view 0.
+
+        `images` (B,V,3,H,W) in [0, 1], H and W multiples of 32; `K` (B,V,3,3); `cam_from_world` (B,V,3,4);
+        `near`, `far` (B,) world units; `scores` (B,N) matching scores S_i of Algorithm 1, at least one positive.
+        """
+        b, v = images.shape[:2]
+        pyramid = self.pyramid(images.flatten(0, 1))
+        views = [tuple(level.unflatten(0, (b, v))[:, i] for level in pyramid) for i in range(v)]
+        return self.sweep(views[0], views[1:], K, cam_from_world, near, far, scores)
+
+    def sweep(
+        self,
+        reference: tuple[Tensor, ...],
+        sources: list[tuple[Tensor, ...]],
+        K: Tensor,
+        cam_from_world: Tensor,
+        near: Tensor,
+        far: Tensor,
+        scores: Tensor,
+    ) -> list[LevelOutput]:
+        """`forward` from ready features, by level 0, 1, 2, of each view."""
+        weights = scores / scores.sum(1, keepdim=True)
+        src_from_ref = [relative_pose(cam_from_world[:, i + 1], cam_from_world[:, 0]) for i in range(len(sources))]
+        outputs: list[LevelOutput] = []
+        for level in LEVELS:
+            h, w = reference[level].shape[2:]
+            first = self._first_hypothesis(level, outputs, h, w, reference[level])
+            interval, m = self.config.interval(level), self.config.hypotheses[level]
+            steps = torch.arange(m, device=first.device, dtype=first.dtype).view(1, m, 1, 1) * interval
+            inverse_depth = 1.0 / depth_from_t(first + steps, near, far)
+            K_level = level_intrinsics(K, level)
+            terms = [homography_terms(K_level[:, 0], K_level[:, i + 1], pose, h, w)
+                     for i, pose in enumerate(src_from_ref)]
+            cost = self.cost_volume(
+                level, reference[level].float(), [s[level].float() for s in sources], terms, weights, inverse_depth
+            )
+            logits = self.regularisers[level](cost).float()
+            t, confidence = decode(logits, first, interval)
+            if outputs:
+                confidence = confidence * upsample(outputs[-1].confidence)
+            outputs.append(LevelOutput(logits, first, interval, t, confidence))
+        return outputs
+
+    def _first_hypothesis(self, level: int, outputs: list[LevelOutput], h: int, w: int, like: Tensor) -> Tensor:
+        """t (B,1,h,w) of a level's first hypothesis: 0, or half a window before the upsampled coarser estimate."""
+        if not outputs:
+            return torch.zeros(like.shape[0], 1, h, w, device=like.device)
+        window = self.config.hypotheses[level] * self.config.interval(level)
+        return (upsample(outputs[-1].t.detach()) - window / 2).clamp(0.0, 1.0 - window)
+
+
+def relative_pose(cam_from_world: Tensor, ref_from_world: Tensor) -> Tensor:
+    """cam_from_ref (B,3,4) of two poses (B,3,4)."""
+    rotation = cam_from_world[:, :, :3] @ ref_from_world[:, :, :3].transpose(1, 2)
+    translation = cam_from_world[:, :, 3:] - rotation @ ref_from_world[:, :, 3:]
+    return torch.cat([rotation, translation], 2)
+
+
+def upsample(x: Tensor) -> Tensor:
+    """Twice the size, bilinear, pixel centres at .5."""
+    return F.interpolate(x, scale_factor=2.0, mode="bilinear", align_corners=False)
+
+
+def decode(logits: Tensor, first: Tensor, interval: float) -> tuple[Tensor, Tensor]:
+    """Eq. 3: t = t_m* + r (1 - max P), and a confidence, each (B,1,h,w).
+
+    The paper prints + r max P, which would contradict its own label, 1 - (d - d_m) / r. max P alone is no
+    confidence, since a true depth late in its interval has a small label: what speaks for a depth is that P is
+    gathered around m*, so the confidence is P's share within one hypothesis of m*.
+    """
+    probability = torch.sigmoid(logits)
+    peak, index = probability.max(1, keepdim=True)
+    t = first + interval * (index + 1.0 - peak)
+    m = logits.shape[1]
+    near_peak = sum(
+        torch.where((index + o >= 0) & (index + o < m), probability.gather(1, (index + o).clamp(0, m - 1)), 0.0)
+        for o in (-1, 0, 1)
+    )
+    return t, near_peak / probability.sum(1, keepdim=True).clamp_min(1e-6)

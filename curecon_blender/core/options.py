@@ -1,0 +1,64 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The one options record that travels from the panel or the command line to the stages."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+STAGES = ("photos", "sparse", "views", "depth", "fusion")
+QUALITIES = ("preview", "standard", "high", "ultra")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Preset:
+    """What a quality stands for: longest image side for SfM and for depth maps (pixels), and source views."""
+
+    sfm_image_size: int
+    image_size: int
+    source_views: int
+
+
+PRESETS = {
+    "preview": Preset(sfm_image_size=1200, image_size=800, source_views=4),
+    "standard": Preset(sfm_image_size=1600, image_size=1600, source_views=4),
+    "high": Preset(sfm_image_size=2400, image_size=2400, source_views=6),
+    "ultra": Preset(sfm_image_size=3200, image_size=100_000, source_views=8),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Everything a job depends on. Frozen: a stage's done-marker is keyed by the fields it used."""
+
+    photos: Path
+    workspace: Path
+    quality: str = "standard"
+    model: Path | None = None  # a COLMAP model used in place of the sparse stage
+    max_image_size: int | None = None  # pixels; overrides the preset's depth-map size
+    views: int | None = None  # source views per reference; overrides the preset's
+    until: str = "fusion"
+    memory_gib: float | None = None  # budget for the depth stage; None: 60 % of what is free
+    device: str = "auto"  # auto, cpu, cuda, mps
+    precision: str = "auto"  # auto, fp32, bf16
+    mapper: str = "auto"  # auto, incremental, global
+    weights: Path | None = None  # None: the shipped weights
+    min_confidence: float = 0.3  # tau
+    min_views: int = 3  # N_c: confirming views
+    max_reprojection_error: float = 1.0  # pixels
+    max_depth_difference: float = 0.01  # relative
+
+    @property
+    def preset(self) -> Preset:
+        return PRESETS[self.quality]
+
+    @property
+    def image_size(self) -> int:
+        """Longest side of a depth map, in pixels."""
+        return self.max_image_size or self.preset.image_size
+
+    @property
+    def source_views(self) -> int:
+        """Source views per reference (N)."""
+        return self.views or self.preset.source_views

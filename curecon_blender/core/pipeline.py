@@ -1,0 +1,292 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The flow: photos, sparse model, views, depth maps, fused cloud. Each stage is skipped when it is already done."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from . import components as components_file
+from .errors import CuReconError, SparseError, WorkspaceError
+from .files import write_json
+from .messages import Reporter
+from .options import PRESETS, STAGES, Options
+from .types import Component, GeoPosition, Gimbal, Photo, PhotoSet, SkippedPhoto
+from .workspace import StageRecord, Workspace, folder_bytes, key_of
+
+BYTES_PER_DEPTH_PIXEL = 6.8  # a depth map's file and its undistorted picture, per pixel
+
+
+def reconstruct(options: Options, reporter: Reporter) -> dict[str, Any]:
+    """Run the job to `options.until` and return its JSON summary.
+
+    The stages read and write the workspace only, so a second run finds them done and a killed one goes on. Raises
+    the CuReconError of whichever stage cannot go on; what was finished before it stays.
+    """
+    stages = STAGES[: STAGES.index(options.until) + 1]
+    reporter.begin(stages)
+    with Workspace(options.workspace) as workspace:
+        job = _Job(options, workspace, reporter)
+        runs: dict[str, Callable[[], None]] = {
+            "photos": job.photos, "sparse": job.sparse, "views": job.views, "depth": job.depth, "fusion": job.fusion,
+        }
+        for stage in stages:
+            reporter.stage(stage)
+            runs[stage]()
+            reporter.progress(1, 1, fresh=False)
+        return job.summary(stages)
+
+
+def check(photos: Path, reporter: Reporter) -> dict[str, Any]:
+    """The photo check alone: what was found, and what each quality would cost here."""
+    from .photos import check_photos, describe
+
+    reporter.begin(("photos",))
+    reporter.stage("photos")
+    photo_set = check_photos(photos, reporter)
+    return {**describe(photo_set), "presets": {q: _cost(photo_set, q) for q in PRESETS}}
+
+
+class _Job:
+    """One run over an open workspace: holds what a stage hands to the next."""
+
+    def __init__(self, options: Options, workspace: Workspace, reporter: Reporter) -> None:
+        self.options, self.workspace, self.reporter = options, workspace, reporter
+        self.photo_set = PhotoSet(photos=())
+        self.components: list[Component] = []
+        self.key = ""  # of the stage just done; every stage's key takes in the one before
+
+    def photos(self) -> None:
+        from .photos import check_photos, find_photos
+
+        source = self.options.photos.absolute()
+        files = [(str(p), p.stat().st_size, p.stat().st_mtime_ns) for p in find_photos(source)]
+        file = self.workspace.root / "photos.json"
+
+        def run() -> None:
+            write_json(file, _photo_set_to_json(check_photos(source, self.reporter)))
+
+        self._stage("photos", {"files": files}, run)
+        self.photo_set = _photo_set_from_json(file)
+
+    def sparse(self) -> None:
+        from . import sparse
+
+        options = self.options
+        inputs: dict[str, Any] = {"model": _digest(options.model)} if options.model else {"mapper": options.mapper}
+        inputs["image_size"] = options.preset.sfm_image_size
+
+        def run() -> None:
+            if options.model:
+                sparse.import_model(options.model, self.photo_set, options, self.workspace.root, self.reporter)
+            else:
+                sparse.reconstruct(self.photo_set, options, self.workspace.root, self.reporter)
+
+        self._stage("sparse", inputs, run)
+
+    def views(self) -> None:
+        from .views import prepare_views
+
+        def run() -> None:
+            self.workspace.require_space(self._depth_bytes())
+            found = prepare_views(self.photo_set, self.options, self.workspace.root, self.reporter)
+            components_file.write(self.workspace.root, found)
+
+        self._stage("views", {"image_size": self.options.image_size, "sources": self.options.source_views}, run)
+        self.components = components_file.read(self.workspace.root)
+
+    def depth(self) -> None:
+        from . import weights
+        from .depth import estimate_depths
+
+        record = weights.describe(self.options.weights)
+        inputs = {"weights": record["sha256"], "precision": self.options.precision}
+        key = self._key("depth", inputs)
+
+        def run() -> None:
+            network = weights.load_network(self.options.weights)
+            estimate_depths(self.components, network, self.workspace.root, self.options, key, self.reporter)
+
+        self._stage("depth", inputs, run)
+
+    def fusion(self) -> None:
+        from .fusion import NoPointsError, fuse
+
+        options = self.options
+        inputs = {name: getattr(options, name) for name in
+                  ("min_confidence", "min_views", "max_reprojection_error", "max_depth_difference")}
+
+        def run() -> None:
+            points = 0
+            for component in self.components:
+                try:
+                    points += fuse(component, self.workspace.root, options, self.reporter)
+                except NoPointsError as error:
+                    if len(self.components) == 1:
+                        raise
+                    self.reporter.warning(error.message)
+            if points == 0:
+                raise NoPointsError(
+                    "No part of the reconstruction gave a point that enough views agree on.",
+                    remedy="Take photos that overlap more, or lower the minimum confidence or the confirming views.",
+                )
+
+        self._stage("fusion", inputs, run)
+
+    def summary(self, stages: tuple[str, ...]) -> dict[str, Any]:
+        """The job's JSON summary: counts, what each stage took when it last ran, and where everything lies."""
+        root = self.workspace.root
+        clouds = [root / c.cloud for c in self.components if (root / c.cloud).exists()] if "fusion" in stages else []
+        records = {stage: self.workspace.record(stage) for stage in stages}
+        return {
+            "photos": len(self.photo_set.photos),
+            "skipped": [{"path": str(s.path), "reason": s.reason} for s in self.photo_set.skipped],
+            "registered": sum(len(c.views) for c in self.components),
+            "components": [
+                {"index": c.index, "photos": len(c.views), "scale": c.frame.scale, "up": c.frame.up,
+                 "gps_residual": c.frame.gps_residual, "note": c.frame.note, "points": _point_count(root / c.cloud)}
+                for c in self.components
+            ],
+            "points": sum(_point_count(path) for path in clouds),
+            "seconds": {s: round(r.seconds, 1) for s, r in records.items() if r},
+            "peak_memory_gib": {s: round(r.peak_gib, 2) for s, r in records.items() if r},
+            "workspace_gib": round(folder_bytes(root) / 2**30, 3),
+            "warnings": self.reporter.warnings,
+            "paths": {
+                "workspace": str(root), "sparse": str(root / "sparse"), "views": str(root / components_file.FILE_NAME),
+                "depth": str(root / "depth"), "clouds": [str(path) for path in clouds],
+            },
+        }
+
+    def _key(self, stage: str, inputs: dict[str, Any]) -> str:
+        return key_of({"stage": stage, "before": self.key, **inputs})
+
+    def _stage(self, stage: str, inputs: dict[str, Any], run: Callable[[], None]) -> None:
+        """Run a stage unless it is done for the same inputs, and mark it done with what it took."""
+        key = self._key(stage, inputs)
+        if not self.workspace.is_done(stage, key):
+            self.workspace.reopen(stage)
+            with _PeakMemory() as peak:
+                started = time.monotonic()
+                run()
+            record = StageRecord(key=key, seconds=time.monotonic() - started, peak_gib=peak.bytes / 2**30)
+            self.workspace.mark_done(stage, record)
+        else:
+            self.reporter.log(f"{stage}: already done")
+        self.key = key
+
+    def _depth_bytes(self) -> int:
+        return int(sum(_scaled_pixels(p, self.options.image_size) for p in self.photo_set.photos)
+                   * BYTES_PER_DEPTH_PIXEL)
+
+
+class _PeakMemory:
+    """The process's largest resident memory while the block runs, sampled ten times a second."""
+
+    def __enter__(self) -> _PeakMemory:
+        self._process = psutil.Process()
+        self.bytes = self._process.memory_info().rss
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._sample, daemon=True)
+        self._thread.start()
+        return self
+
+    def _sample(self) -> None:
+        while not self._stop.wait(0.1):
+            self.bytes = max(self.bytes, self._process.memory_info().rss)
+
+    def __exit__(self, *exception: object) -> None:
+        self._stop.set()
+        self._thread.join()
+
+
+def _digest(model: Path) -> str:
+    """Digest of a given model's files, so that another model, or a changed one, is seen as such."""
+    files = sorted(p for p in model.rglob("*") if p.suffix in (".bin", ".txt")) if model.is_dir() else []
+    if not files:
+        raise SparseError(
+            f"{model} holds no COLMAP model.", path=model,
+            remedy="Choose the folder with cameras, images and points3D as .bin or .txt.",
+        )
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(file.name.encode())
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+def _point_count(cloud: Path) -> int:
+    """Points that a PLY's header promises; 0 when there is none."""
+    try:
+        with open(cloud, "rb") as file:
+            for line in iter(file.readline, b"end_header\n"):
+                if line.startswith(b"element vertex"):
+                    return int(line.split()[2])
+                if not line:
+                    break
+    except FileNotFoundError:
+        pass  # not fused yet, or nothing to fuse: no points
+    return 0
+
+
+def _scaled_pixels(photo: Photo, size: int) -> float:
+    return photo.width * photo.height * min(1.0, size / max(photo.width, photo.height)) ** 2
+
+
+# CPU seconds and bytes of the preset estimate, measured on two cores (benchmarks/RESULTS.md).
+_SECONDS_PER_MEGAPIXEL, _SECONDS_PER_PHOTO = 9.0, 3.0
+
+
+def _cost(photo_set: PhotoSet, quality: str) -> dict[str, float]:
+    """Rough time, memory and disk of a quality on a laptop without a graphics card."""
+    from . import depth
+
+    size, sources = PRESETS[quality].image_size, PRESETS[quality].source_views
+    pixels = [_scaled_pixels(photo, size) for photo in photo_set.photos]
+    megapixels = sum(pixels) / 1e6
+    whole = depth.BASE_BYTES + max(pixels) * (depth.BYTES_PER_PIXEL + sources * depth.BYTES_PER_SOURCE_PIXEL)
+    available = 0.6 * psutil.virtual_memory().available
+    return {
+        "seconds": round(len(pixels) * _SECONDS_PER_PHOTO + megapixels * _SECONDS_PER_MEGAPIXEL * (1 + sources / 8)),
+        "memory_gib": round(min(whole, available) / 2**30, 1),
+        "disk_gib": round(megapixels * 1e6 * BYTES_PER_DEPTH_PIXEL / 2**30, 2),
+    }
+
+
+def _photo_set_to_json(photo_set: PhotoSet) -> dict[str, Any]:
+    return {
+        "photos": [{**asdict(p), "path": str(p.path)} for p in photo_set.photos],
+        "skipped": [{"path": str(s.path), "reason": s.reason} for s in photo_set.skipped],
+    }
+
+
+def _photo_set_from_json(file: Path) -> PhotoSet:
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+        return PhotoSet(
+            photos=tuple(
+                Photo(**{
+                    **p, "path": Path(p["path"]), "gps": GeoPosition(**p["gps"]) if p["gps"] else None,
+                    "gimbal": Gimbal(**p["gimbal"]) if p["gimbal"] else None,
+                })
+                for p in content["photos"]
+            ),
+            skipped=tuple(SkippedPhoto(path=Path(s["path"]), reason=s["reason"]) for s in content["skipped"]),
+        )
+    except (FileNotFoundError, json.JSONDecodeError, KeyError, TypeError) as error:
+        raise WorkspaceError(
+            f"{file} is missing or damaged.", path=file,
+            remedy=f"Delete the folder {file.parent / 'stages'} and run it again.",
+        ) from error
+
+
+__all__ = ["CuReconError", "check", "reconstruct"]

@@ -1,0 +1,142 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""One folder a job: who may use it, which stages are done, and for which options and inputs."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any
+
+from .errors import WorkspaceError
+from .files import disk_errors, write_json
+
+FORMAT = 1
+
+
+def key_of(value: Any) -> str:
+    """A short digest of anything JSON can say: the key of a stage's done-marker."""
+    text = json.dumps(value, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:20]
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageRecord:
+    """A stage's done-marker: the key it was done for, and what it took."""
+
+    key: str
+    seconds: float
+    peak_gib: float
+
+
+class Workspace:
+    """An open workspace folder, locked against a second job for as long as the `with` block runs.
+
+    Raises WorkspaceError when the folder cannot be made or written, is in use, or was made by a newer version.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = root.absolute()
+
+    def __enter__(self) -> Workspace:
+        marker = self.root / "workspace.json"
+        with disk_errors(self.root):
+            try:
+                self.root.mkdir(parents=True, exist_ok=True)
+            except (FileExistsError, NotADirectoryError) as error:
+                raise WorkspaceError(
+                    f"The workspace {self.root} cannot be a folder: a file is in the way.",
+                    remedy="Choose another workspace folder.", path=self.root,
+                ) from error
+            self._lock = open(self.root / "workspace.lock", "a+b")
+        _lock(self._lock, self.root)
+        try:
+            if marker.exists():
+                _check_format(marker)
+            else:
+                write_json(marker, {"format": FORMAT, "made_by": "CU-Recon"})
+        except WorkspaceError:
+            self._lock.close()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._lock.close()  # the operating system lets go of the lock, as it does when the process is killed
+
+    def record(self, stage: str) -> StageRecord | None:
+        """The stage's done-marker, if it has one."""
+        path = self._marker(stage)
+        try:
+            return StageRecord(**json.loads(path.read_text(encoding="utf-8")))
+        except (FileNotFoundError, json.JSONDecodeError, TypeError):
+            return None  # never finished, or cut off while the marker was written: the stage runs again
+
+    def is_done(self, stage: str, key: str) -> bool:
+        record = self.record(stage)
+        return record is not None and record.key == key
+
+    def mark_done(self, stage: str, record: StageRecord) -> None:
+        write_json(self._marker(stage), {"key": record.key, "seconds": record.seconds, "peak_gib": record.peak_gib})
+
+    def reopen(self, stage: str) -> None:
+        """Take back a done-marker before its stage's files are touched."""
+        self._marker(stage).unlink(missing_ok=True)
+
+    def require_space(self, bytes_needed: int) -> None:
+        """Refuse early what the disk cannot hold. Raises WorkspaceError."""
+        free = shutil.disk_usage(self.root).free
+        if free < bytes_needed:
+            raise WorkspaceError(
+                f"The disk of {self.root} has {free / 2**30:.1f} GiB free; this job needs about "
+                f"{bytes_needed / 2**30:.1f} GiB.",
+                remedy="Free some space, choose a workspace on another disk, or a lower quality.", path=self.root,
+            )
+
+    def _marker(self, stage: str) -> Path:
+        return self.root / "stages" / f"{stage}.json"
+
+
+def _check_format(marker: Path) -> None:
+    try:
+        found = json.loads(marker.read_text(encoding="utf-8"))["format"]
+    except (json.JSONDecodeError, KeyError, TypeError, UnicodeDecodeError) as error:
+        raise WorkspaceError(
+            f"{marker} is damaged.", remedy="Choose a new workspace folder; your photos are untouched.", path=marker
+        ) from error
+    if found > FORMAT:
+        raise WorkspaceError(
+            f"The workspace {marker.parent} was made by a newer version of CU-Recon.",
+            remedy="Update CU-Recon, or choose another workspace folder.", path=marker.parent,
+        )
+
+
+def _lock(file: IO[bytes], root: Path) -> None:
+    """Take an exclusive lock that the operating system gives back when the process ends, however it ends."""
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        file.close()
+        raise WorkspaceError(
+            f"Another CU-Recon job is using the workspace {root}.",
+            remedy="Wait for it, cancel it, or choose another workspace folder.", path=root,
+        ) from error
+
+
+def folder_bytes(root: Path) -> int:
+    """Bytes of all files below a folder."""
+    return sum((Path(d) / f).stat().st_size for d, _, files in os.walk(root) for f in files)

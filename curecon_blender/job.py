@@ -1,0 +1,270 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The worker process as the add-on sees it: started, listened to on a thread, cancelled. No bpy here."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import re
+import signal
+import subprocess
+import tempfile
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from .core.errors import Cancelled, CuReconError
+from .core.messages import (
+    Failure,
+    Log,
+    Message,
+    Progress,
+    Result,
+    StageStarted,
+    Warning,
+    decode,
+    failure,
+)
+
+LOG_NAME = "worker.log"
+CANCEL_GRACE = 15.0  # seconds a worker has to stop by itself: one tile or one pycolmap call
+LAST_WARNINGS = 5
+MISSING_MODULE = re.compile(r"ModuleNotFoundError: No module named '([\w.]+)'")
+
+
+class WorkerError(CuReconError):
+    """The worker process could not be started, or died without a word."""
+
+    exit_code = 8
+    kind = "worker"
+
+
+@dataclass
+class StageStatus:
+    stage: str
+    done: int = 0
+    total: int = 0
+
+    @property
+    def fraction(self) -> float:
+        return self.done / self.total if self.total else 0.0
+
+
+@dataclass
+class Status:
+    """Where a job stands, folded from its messages: what a panel shows."""
+
+    task: str = ""  # what is being done, in words: "Checking photos"
+    running: bool = False
+    cancelling: bool = False
+    stages: list[StageStatus] = field(default_factory=list)
+    stage_index: int = 0
+    stage_count: int = 0
+    overall: float = 0.0
+    eta: float | None = None  # seconds
+    eta_at: float = 0.0  # time.monotonic() when `eta` was told
+    warnings: list[str] = field(default_factory=list)
+    warning_count: int = 0
+    result: Result | None = None
+    failure: Failure | None = None
+
+    def apply(self, message: Message) -> None:
+        match message:
+            case StageStarted():
+                self.stages.append(StageStatus(message.stage))
+                self.stage_index, self.stage_count, self.eta = message.index, message.count, None
+            case Progress():
+                if not self.stages or self.stages[-1].stage != message.stage:
+                    self.stages.append(StageStatus(message.stage))
+                self.stages[-1].done, self.stages[-1].total = message.done, message.total
+                self.overall, self.eta, self.eta_at = message.overall, message.eta, time.monotonic()
+            case Warning():
+                text = message.text if message.photo is None else f"{message.photo}: {message.text}"
+                self.warnings = [*self.warnings, text][-LAST_WARNINGS:]
+                self.warning_count += 1
+            case Result():
+                self.result, self.overall = message, 1.0
+            case Failure():
+                self.failure = message
+            case Log():
+                pass
+
+    @property
+    def seconds_left(self) -> float | None:
+        """Remaining time, counted down between two messages."""
+        return None if self.eta is None else max(0.0, self.eta - (time.monotonic() - self.eta_at))
+
+
+def duration(seconds: float) -> str:
+    """A remaining time in words, no more exact than an estimate can be."""
+    if seconds < 60:
+        return "less than a minute"
+    minutes = round(seconds / 60)
+    if minutes < 60:
+        return f"{minutes} min"
+    return f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+class Job:
+    """A running worker. `poll` never blocks; messages come in order and end with one Result or Failure.
+
+    `arguments` are the worker's own ("reconstruct", PHOTOS, ...); `python` is the interpreter; `import_paths` are the
+    folders put on its PYTHONPATH, of which one holds the package `curecon_blender`; `log` takes its stderr.
+    Raises WorkerError when the interpreter cannot be started.
+    """
+
+    def __init__(
+        self, arguments: Sequence[str], *, python: Path | str, import_paths: Sequence[Path | str], log: Path,
+        grace: float = CANCEL_GRACE,
+    ) -> None:
+        self.log = log
+        self.cancelled = False
+        self._grace = grace
+        self._messages: queue.SimpleQueue[Message] = queue.SimpleQueue()
+        # Blender's own PYTHONHOME would lead another Python to the wrong standard library.
+        environment = {name: value for name, value in os.environ.items() if name != "PYTHONHOME"}
+        environment |= {
+            "PYTHONPATH": os.pathsep.join(str(path) for path in import_paths),
+            "PYTHONUTF8": "1", "PYTHONUNBUFFERED": "1", "PYTHONDONTWRITEBYTECODE": "1",
+        }
+        command = [str(python), "-m", "curecon_blender.core.worker", "--messages", *arguments]
+        with open(log, "ab") as errors:
+            self._log_start = errors.tell()
+            try:
+                self._process = subprocess.Popen(
+                    command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, env=environment,
+                    cwd=import_paths[0], creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
+                )
+            except OSError as error:
+                raise WorkerError(
+                    f"The worker could not be started with {python}: {error.strerror}.",
+                    remedy="Set Worker Python in the add-on's preferences to a Python 3.11 or newer that has torch "
+                           "and pycolmap.", path=str(python),
+                ) from error
+        self._reader = threading.Thread(target=self._read, name="curecon-worker-reader", daemon=True)
+        self._reader.start()
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    @property
+    def finished(self) -> bool:
+        """True once the worker has ended and every message has been polled."""
+        return not self._reader.is_alive() and self._messages.empty()
+
+    def poll(self) -> list[Message]:
+        """The messages since the last poll, oldest first."""
+        messages = []
+        with contextlib.suppress(queue.Empty):
+            while True:
+                messages.append(self._messages.get_nowait())
+        return messages
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Block until the worker has ended, at most `timeout` seconds; poll afterwards. True if it has ended."""
+        self._reader.join(timeout)
+        return not self._reader.is_alive()
+
+    def cancel(self) -> None:
+        """Ask the worker to stop; end it when it has not done so after the grace time. Returns at once."""
+        if self.cancelled:
+            return
+        self.cancelled = True
+        self._tell(b"cancel\n")
+        threading.Thread(target=self._end, args=(self._grace,), name="curecon-worker-end", daemon=True).start()
+
+    def close(self) -> None:
+        """End the worker now, for when Blender quits: finished work is on disk and a later run resumes."""
+        self.cancelled = True
+        with contextlib.suppress(OSError):  # the worker has gone already: that is what is wanted
+            if self._process.stdin is not None:
+                self._process.stdin.close()
+        self._end(2.0)
+        self._reader.join(2.0)
+
+    def _tell(self, line: bytes) -> None:
+        with contextlib.suppress(OSError, ValueError):  # it has gone, or its stdin was closed by close()
+            if self._process.stdin is not None:
+                self._process.stdin.write(line)
+                self._process.stdin.flush()
+
+    def _end(self, grace: float) -> None:
+        for step in (lambda: None, self._process.terminate, self._process.kill):
+            step()
+            try:
+                self._process.wait(grace)
+                return
+            except subprocess.TimeoutExpired:
+                continue
+
+    def _read(self) -> None:
+        final: Message | None = None
+        assert self._process.stdout is not None
+        with self._process.stdout as stdout:
+            for raw in stdout:
+                line = raw.decode("utf-8", "replace").strip()
+                if not line:
+                    continue
+                try:
+                    message = decode(line)
+                except ValueError:
+                    message = Log(text=line)  # a native library's own printing
+                if isinstance(message, Result | Failure):
+                    final = message
+                self._messages.put(message)
+        code = self._process.wait()
+        if final is None:
+            self._messages.put(failure(Cancelled()) if self.cancelled else self._death(code))
+
+    def _death(self, code: int) -> Failure:
+        """Words for a worker that ended without a Result or a Failure."""
+        with open(self.log, "rb") as file:
+            file.seek(self._log_start)
+            said = file.read()[-4000:].decode("utf-8", "replace").strip()
+        if missing := MISSING_MODULE.search(said):
+            error = WorkerError(
+                f"The worker's Python has no module {missing[1]}.",
+                remedy="Set Worker Python in the add-on's preferences to a Python that has torch and pycolmap.",
+            )
+        elif code == -getattr(signal, "SIGKILL", 9):
+            error = WorkerError(
+                "The worker was killed by the system, most often because the computer ran out of memory.",
+                remedy="Run it again: it goes on from the last finished photo. If it happens again, set a smaller "
+                       "memory budget in the preferences or choose a lower quality.",
+            )
+        else:
+            last = f" It last said: {said.splitlines()[-1]}" if said else ""
+            error = WorkerError(
+                f"The worker ended unexpectedly ({_ending(code)}).{last}",
+                remedy=f"Run it again: it goes on from the last finished photo. Its log is {self.log}.",
+            )
+        return failure(error)
+
+
+def _ending(code: int) -> str:
+    if code < 0:
+        try:
+            return signal.Signals(-code).name
+        except ValueError:
+            return f"signal {-code}"
+    return f"exit code {code}"
+
+
+def log_path(workspace: Path | None) -> Path:
+    """Where a worker's stderr goes: into the workspace, or the temporary folder where that cannot be written."""
+    if workspace is not None:
+        try:
+            workspace.mkdir(parents=True, exist_ok=True)
+            path = workspace / LOG_NAME
+            with open(path, "ab"):
+                return path
+        except OSError:
+            pass  # the worker itself tells the user what is wrong with the workspace
+    handle, name = tempfile.mkstemp(prefix="curecon-", suffix=".log")
+    os.close(handle)
+    return Path(name)

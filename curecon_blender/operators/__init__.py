@@ -1,0 +1,25 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""One file an action; each lists its CLASSES. Operators are thin: core does the work, scene/ writes bpy.data."""
+
+from __future__ import annotations
+
+import bpy
+
+from . import check_photos, choose_photos, import_workspace, reconstruct
+
+CLASSES = (*choose_photos.CLASSES, *check_photos.CLASSES, *reconstruct.CLASSES, *import_workspace.CLASSES)
+
+
+def _file_import(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
+    menu.layout.operator("curecon.choose_photos", text="Drone Photos (CU-Recon)")
+    menu.layout.operator("curecon.import_workspace", text="CU-Recon Workspace")
+    menu.layout.operator("curecon.import_model", text="COLMAP Model (CU-Recon)")
+
+
+def add_menus() -> None:
+    bpy.types.TOPBAR_MT_file_import.append(_file_import)
+
+
+def remove_menus() -> None:
+    bpy.types.TOPBAR_MT_file_import.remove(_file_import)

@@ -1,0 +1,69 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Choosing the photo folder, in the file browser or by dropping photos on the 3D viewport."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+from bpy.props import CollectionProperty, StringProperty
+
+from ..core.errors import CuReconError
+from . import running
+
+
+class CURECON_OT_choose_photos(bpy.types.Operator):
+    """Choose the folder with the drone's photos, then check them"""
+
+    bl_idname = "curecon.choose_photos"
+    bl_label = "Choose Photos"
+    bl_options = {"UNDO"}
+
+    directory: StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE", "HIDDEN"})
+    files: CollectionProperty(type=bpy.types.OperatorFileListElement, options={"SKIP_SAVE", "HIDDEN"})
+    filter_folder: bpy.props.BoolProperty(default=True, options={"HIDDEN"})
+    filter_image: bpy.props.BoolProperty(default=True, options={"HIDDEN"})
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return not running.status.running
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if self.directory:  # photos were dropped
+            return self.execute(context)
+        self.directory = context.scene.curecon.photos
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        folder = Path(bpy.path.abspath(self.directory))
+        if not folder.is_dir():
+            self.report({"ERROR"}, f"{folder} is not a folder. Choose the folder with the drone's photos.")
+            return {"CANCELLED"}
+        properties = context.scene.curecon
+        properties.photos, properties.workspace, properties.model = str(folder), "", ""
+        properties.check.folder = ""
+        if not bpy.app.background:
+            try:
+                bpy.ops.curecon.check_photos("INVOKE_DEFAULT")
+            except (RuntimeError, CuReconError) as error:  # the check's own report, which the panel shows
+                self.report({"WARNING"}, str(error).strip())
+        return {"FINISHED"}
+
+
+class CURECON_FH_photos(bpy.types.FileHandler):
+    """Photos dropped on a 3D viewport. Blender offers file handlers by extension only, so a folder cannot be dropped
+    there; dropped photos stand for their whole folder."""
+
+    bl_idname = "CURECON_FH_photos"
+    bl_label = "CU-Recon: Reconstruct These Photos' Folder"
+    bl_import_operator = "curecon.choose_photos"
+    bl_file_extensions = ".jpg;.jpeg;.png;.tif;.tiff"
+
+    @classmethod
+    def poll_drop(cls, context: bpy.types.Context) -> bool:
+        return context.area is not None and context.area.type == "VIEW_3D"
+
+
+CLASSES = (CURECON_OT_choose_photos, CURECON_FH_photos)

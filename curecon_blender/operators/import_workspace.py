@@ -1,0 +1,103 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Bringing a workspace into the scene, and looking at what came."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+from bpy.props import StringProperty
+
+from ..core.errors import CuReconError
+from ..scene import cameras, viewport
+from ..scene.workspace import clouds_of, import_workspace
+from . import places, running
+
+EASY_POINTS = 10_000_000  # what a viewport shows without trouble
+
+
+def bring_in(context: bpy.types.Context, scene: bpy.types.Scene, folder: Path, *, photos: int = 0) -> str:
+    """Import the workspace, fill the Result panel and turn the viewports to the cloud; returns a report.
+
+    `photos` is how many were given to the job, 0 when unknown. Raises WorkspaceError.
+    """
+    imported = import_workspace(scene, folder)
+    properties, frame = scene.curecon, imported.frame
+    result = properties.result
+    result.workspace, result.points, result.photos = str(folder), imported.points, photos
+    result.cameras, result.parts = len(imported.cameras), imported.parts
+    result.scale, result.note = frame.scale, frame.note
+    properties.display_fraction = min(100.0, 100.0 * EASY_POINTS / max(imported.points, 1))
+    cameras.show(scene, properties.show_cameras)
+    if imported.clouds:
+        viewport.frame(context, imported.clouds[0])
+    report = f"{imported.points:,} points and {len(imported.cameras)} cameras are in the scene."
+    if imported.missing_pictures:
+        report += f" {imported.missing_pictures} pictures are missing in {folder}."
+    return report
+
+
+class CURECON_OT_import_workspace(bpy.types.Operator):
+    """Bring the cameras and the point cloud of an existing workspace folder into the scene"""
+
+    bl_idname = "curecon.import_workspace"
+    bl_label = "Import Workspace"
+    bl_options = {"UNDO"}
+
+    directory: StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE"})
+    filter_folder: bpy.props.BoolProperty(default=True, options={"HIDDEN"})
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return not running.status.running
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.directory = context.scene.curecon.workspace
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            self.report({"INFO"}, bring_in(context, context.scene, places.absolute(self.directory)))
+        except CuReconError as error:
+            self.report({"ERROR"}, running.explain(error))
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+
+class CURECON_OT_frame_cloud(bpy.types.Operator):
+    """Turn the 3D viewports to the whole cloud"""
+
+    bl_idname = "curecon.frame_cloud"
+    bl_label = "Frame Cloud"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return bool(clouds_of(context.scene))
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        viewport.frame(context, clouds_of(context.scene)[0])
+        return {"FINISHED"}
+
+
+class CURECON_OT_look_through(bpy.types.Operator):
+    """Look through the active photo camera, with renders of its photo's size"""
+
+    bl_idname = "curecon.look_through"
+    bl_label = "Look Through Photo"
+    bl_options = {"UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return cameras.is_photo_camera(context.active_object)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        context.scene.camera = context.active_object
+        cameras.fit_render(context.scene, context.active_object)
+        if context.area is not None and context.area.type == "VIEW_3D":
+            context.area.spaces.active.region_3d.view_perspective = "CAMERA"
+        return {"FINISHED"}
+
+
+CLASSES = (CURECON_OT_import_workspace, CURECON_OT_frame_cloud, CURECON_OT_look_through)

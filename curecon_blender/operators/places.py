@@ -1,0 +1,46 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which folders a scene's job works with."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+
+import bpy
+
+from ..core.errors import PhotoError
+from ..preferences import settings
+
+
+def photos_folder(scene: bpy.types.Scene) -> Path:
+    """The chosen photo folder, absolute. Raises PhotoError when none has been chosen."""
+    if not scene.curecon.photos:
+        raise PhotoError("No photos have been chosen.", remedy="Choose the folder with the drone's photos first.")
+    return absolute(scene.curecon.photos)
+
+
+def workspace_folder(context: bpy.types.Context, scene: bpy.types.Scene) -> Path:
+    """Where the scene's job is kept.
+
+    In this order: the scene's own workspace; a folder in the preferences' cache folder; NAME_curecon beside the
+    photos; and where that place cannot be written (a memory card, a server), a folder in CU-Recon in the user's home.
+    Raises PhotoError when no photos have been chosen.
+    """
+    if scene.curecon.workspace:
+        return absolute(scene.curecon.workspace)
+    photos = photos_folder(scene)
+    # Two folders of the same name must not share a workspace where workspaces of many places meet.
+    distinct = f"{photos.name}_{hashlib.sha256(str(photos).encode()).hexdigest()[:8]}"
+    if (cache := settings(context).cache) is not None:
+        return cache / distinct
+    beside = photos.with_name(f"{photos.name}_curecon")
+    if os.access(beside if beside.exists() else photos.parent, os.W_OK):
+        return beside
+    return Path.home() / "CU-Recon" / distinct
+
+
+def absolute(blender_path: str) -> Path:
+    """A path as Blender's fields hold it (perhaps relative to the .blend, with a slash at its end), made absolute."""
+    return Path(os.path.normpath(bpy.path.abspath(blender_path)))

@@ -1,0 +1,132 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The main job: photos to a coloured point cloud in the scene; and a COLMAP model in place of our own cameras."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import bpy
+from bpy.props import StringProperty
+
+from ..core.errors import SparseError
+from ..preferences import settings
+from . import places, running
+from .import_workspace import bring_in
+from .running import WorkerOperator
+
+
+def job_arguments(context: bpy.types.Context, *, until: str | None = None) -> list[str]:
+    """The worker's command line for the scene's photos, workspace and options. Raises PhotoError."""
+    properties, chosen = context.scene.curecon, settings(context)
+    arguments = [
+        "reconstruct", str(places.photos_folder(context.scene)),
+        "--workspace", str(places.workspace_folder(context, context.scene)),
+        "--quality", properties.quality, "--device", chosen.device,
+    ]
+    if properties.model:
+        arguments += ["--model", str(places.absolute(properties.model))]
+    if properties.max_image_size:
+        arguments += ["--max-image-size", str(properties.max_image_size)]
+    if properties.views:
+        arguments += ["--views", str(properties.views)]
+    if chosen.memory_gib is not None:
+        arguments += ["--memory", str(chosen.memory_gib)]
+    if until is not None:
+        arguments += ["--until", until]
+    return arguments
+
+
+class CURECON_OT_reconstruct(WorkerOperator, bpy.types.Operator):
+    """Find the cameras, compute a depth map for every photo and fuse them into a coloured point cloud.
+
+A cancelled or broken run goes on where it stopped"""
+
+    bl_idname = "curecon.reconstruct"
+    bl_label = "Reconstruct"
+    bl_options = {"UNDO"}
+
+    task = "Reconstructing"
+
+    def workspace(self, context: bpy.types.Context) -> Path | None:
+        return places.workspace_folder(context, context.scene)
+
+    def arguments(self, context: bpy.types.Context) -> list[str]:
+        return job_arguments(context)
+
+    def done(self, context: bpy.types.Context, scene: bpy.types.Scene, summary: dict[str, Any]) -> str:
+        return bring_in(context, scene, places.workspace_folder(context, scene), photos=summary["photos"])
+
+
+class CURECON_OT_import_model(WorkerOperator, bpy.types.Operator):
+    """Take the cameras of a COLMAP model (text or binary) as they are, with the chosen photos"""
+
+    bl_idname = "curecon.import_model"
+    bl_label = "Import COLMAP Model"
+    bl_options = {"UNDO"}
+
+    directory: StringProperty(
+        name="Model", description="The folder with cameras, images and points3D (.bin or .txt)", subtype="DIR_PATH",
+        options={"SKIP_SAVE"},
+    )
+    photos: StringProperty(
+        name="Photos", description="The folder with the model's photos", subtype="DIR_PATH", options={"SKIP_SAVE"},
+    )
+    filter_folder: bpy.props.BoolProperty(default=True, options={"HIDDEN"})
+
+    task = "Importing cameras"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        self.layout.label(text="Photos of the model:")
+        self.layout.prop(self, "photos", text="")
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.photos = self.photos or context.scene.curecon.photos
+        self._browsing = True
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        if getattr(self, "_browsing", False) and not bpy.app.background:  # back from the file browser
+            self._browsing = False
+            return WorkerOperator.invoke(self, context, None)
+        return WorkerOperator.execute(self, context)
+
+    def workspace(self, context: bpy.types.Context) -> Path | None:
+        return places.workspace_folder(context, context.scene)
+
+    def arguments(self, context: bpy.types.Context) -> list[str]:
+        folder = Path(bpy.path.abspath(self.directory))
+        if not any((folder / f"cameras{ending}").is_file() for ending in (".bin", ".txt")):
+            raise SparseError(
+                f"{folder} holds no COLMAP model.",
+                remedy="Choose the folder that holds cameras, images and points3D as .bin or .txt.", path=folder,
+            )
+        properties = context.scene.curecon
+        if self.photos:
+            properties.photos = self.photos
+        properties.model = str(folder)
+        return job_arguments(context, until="views")
+
+    def done(self, context: bpy.types.Context, scene: bpy.types.Scene, summary: dict[str, Any]) -> str:
+        return bring_in(context, scene, places.workspace_folder(context, scene), photos=summary["photos"])
+
+
+class CURECON_OT_cancel(bpy.types.Operator):
+    """Stop the running job. Finished work is kept, and the next run goes on from it"""
+
+    bl_idname = "curecon.cancel"
+    bl_label = "Cancel"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return running.status.running and not running.status.cancelling
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        running.cancel()
+        running.redraw_panels(context)
+        return {"FINISHED"}
+
+
+CLASSES = (CURECON_OT_reconstruct, CURECON_OT_import_model, CURECON_OT_cancel)

@@ -1,0 +1,200 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The sidebar tab CU-Recon of the 3D viewport: Photos, Reconstruct, Result."""
+
+from __future__ import annotations
+
+import blf
+import bpy
+
+from . import ADDON
+from .job import Status, duration
+from .operators import running
+from .operators.running import STAGE_NAMES
+from .scene import cameras
+from .scene.workspace import clouds_of
+
+SHOWN_SKIPPED = 6
+
+
+def wrap(text: str, context: bpy.types.Context, indent: int = 0) -> list[str]:
+    """`text` in lines that fit the sidebar; `indent` is taken off its width, in pixels at scale 1."""
+    preferences = context.preferences
+    scale = preferences.system.ui_scale
+    blf.size(0, preferences.ui_styles[0].widget.points * scale)
+    width = context.region.width - (76 + indent) * scale
+    lines: list[str] = []
+    for word in text.split():
+        longer = f"{lines[-1]} {word}" if lines else word
+        if lines and blf.dimensions(0, longer)[0] <= width:
+            lines[-1] = longer
+        else:
+            lines.append(word)
+    return lines
+
+
+def paragraph(
+    layout: bpy.types.UILayout, context: bpy.types.Context, text: str, *, icon: str = "NONE", alert: bool = False
+) -> None:
+    column = layout.column(align=True)
+    column.alert = alert
+    column.scale_y = 0.8
+    for index, words in enumerate(wrap(text, context, indent=28 if icon != "NONE" else 0)):
+        column.label(text=words, icon=(icon if index == 0 else "BLANK1") if icon != "NONE" else "NONE")
+
+
+def counted(count: int, noun: str) -> str:
+    return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
+
+
+class _Panel:
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "CU-Recon"
+
+
+class CURECON_PT_photos(_Panel, bpy.types.Panel):
+    bl_idname = "CURECON_PT_photos"
+    bl_label = "Photos"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, properties = self.layout, context.scene.curecon
+        layout.operator("curecon.choose_photos", icon="FILE_FOLDER")
+        if not properties.photos:
+            paragraph(layout, context, "Or drop photos on the viewport: their whole folder is taken.")
+            return
+        layout.prop(properties, "photos", text="")
+        check = properties.check
+        if check.folder != properties.photos:
+            layout.operator("curecon.check_photos", icon="VIEWZOOM")
+            return
+        self._draw_check(context, check)
+        layout.operator("curecon.check_photos", text="Check Again", icon="FILE_REFRESH")
+
+    def _draw_check(self, context: bpy.types.Context, check: bpy.types.PropertyGroup) -> None:
+        box = self.layout.box()
+        column = box.column(align=True)
+        column.label(text=f"{counted(check.photos, 'photo')}, {counted(check.cameras, 'camera')}", icon="CHECKMARK")
+        if check.gps == check.photos:
+            gps = "GPS on all"
+        elif check.gps:
+            gps = f"GPS on {check.gps} of {check.photos}"
+        else:
+            gps = "No GPS: scale will be unknown"
+        column.label(text=gps, icon="WORLD")
+        if check.gsd_mm:
+            column.label(text=f"About {check.gsd_mm:.0f} mm on the ground a pixel", icon="DRIVER_DISTANCE")
+        if check.blurred:
+            column.label(text=f"{check.blurred} blurred", icon="ERROR")
+        if check.skipped:
+            column.label(text=f"{counted(len(check.skipped), 'file')} left out:", icon="ERROR")
+            for file in check.skipped[:SHOWN_SKIPPED]:
+                paragraph(box, context, f"{file.name}: {file.reason}")
+            if len(check.skipped) > SHOWN_SKIPPED:
+                box.label(text=f"and {len(check.skipped) - SHOWN_SKIPPED} more")
+
+
+class CURECON_PT_reconstruct(_Panel, bpy.types.Panel):
+    bl_idname = "CURECON_PT_reconstruct"
+    bl_label = "Reconstruct"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, properties, status = self.layout, context.scene.curecon, running.status
+        column = layout.column()
+        column.enabled = not status.running
+        column.row().prop(properties, "quality", text="")
+        if status.running:
+            draw_progress(layout, status)
+        else:
+            row = layout.row()
+            row.scale_y = 1.6
+            row.enabled = bool(properties.photos)
+            row.operator("curecon.reconstruct", icon="PLAY")
+        if status.warning_count:
+            box = layout.box()
+            for text in status.warnings:
+                paragraph(box, context, text, icon="ERROR")
+            if status.warning_count > len(status.warnings):
+                box.label(text=f"and {status.warning_count - len(status.warnings)} earlier warnings")
+        if status.failure is not None:
+            box = layout.box()
+            cancelled = status.failure.kind == "cancelled"
+            paragraph(
+                box, context, status.failure.message, icon="INFO" if cancelled else "CANCEL", alert=not cancelled
+            )
+            paragraph(box, context, status.failure.remedy)
+
+
+def draw_progress(layout: bpy.types.UILayout, status: Status) -> None:
+    column = layout.column(align=True)
+    left = status.seconds_left
+    overall = f"{status.overall:.0%}" + (f", {duration(left)} left" if left is not None else "")
+    column.progress(factor=status.overall, text="Cancelling..." if status.cancelling else overall)
+    column.separator()
+    for stage in status.stages:
+        name = STAGE_NAMES.get(stage.stage, stage.stage)
+        column.progress(factor=stage.fraction, text=f"{name}  {stage.done}/{stage.total}" if stage.total else name)
+    if not status.stages:
+        column.label(text=f"{status.task}...")
+    layout.operator("curecon.cancel", icon="X")
+
+
+class CURECON_PT_advanced(_Panel, bpy.types.Panel):
+    bl_idname = "CURECON_PT_advanced"
+    bl_label = "Advanced"
+    bl_parent_id = "CURECON_PT_reconstruct"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, properties = self.layout, context.scene.curecon
+        layout.enabled = not running.status.running
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        layout.prop(properties, "max_image_size")
+        layout.prop(properties, "views")
+        layout.prop(properties, "workspace", placeholder="Beside the photos")
+        layout.prop(properties, "model", placeholder="Find the cameras")
+        column = layout.column(align=True)
+        column.operator("curecon.import_workspace", icon="IMPORT")
+        column.operator("curecon.import_model", icon="IMPORT")
+        layout.operator("preferences.addon_show", text="Device and Memory...", icon="PREFERENCES").module = ADDON
+
+
+class CURECON_PT_result(_Panel, bpy.types.Panel):
+    bl_idname = "CURECON_PT_result"
+    bl_label = "Result"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, properties = self.layout, context.scene.curecon
+        result, clouds = properties.result, clouds_of(context.scene)
+        if not result.workspace:
+            paragraph(layout, context, "Nothing yet. Reconstruct photos, or import a workspace.")
+            layout.operator("curecon.import_workspace", icon="IMPORT")
+            return
+        box = layout.box()
+        column = box.column(align=True)
+        column.label(text=counted(sum(len(cloud.data.points) for cloud in clouds), "point"), icon="POINTCLOUD_DATA")
+        placed = f"{result.cameras} of {result.photos} photos placed" if result.photos else (
+            f"{counted(result.cameras, 'photo')} placed")
+        column.label(text=placed, icon="CAMERA_DATA")
+        if result.parts > 1:
+            column.label(text=f"In {result.parts} parts that do not connect", icon="ERROR")
+        if result.scale == "metres":
+            column.label(text="True scale: 1 unit is 1 metre", icon="DRIVER_DISTANCE")
+        else:
+            column.label(text="Scale unknown: do not measure", icon="ERROR")
+        if result.note:
+            paragraph(box, context, result.note)
+        if clouds:
+            column = layout.column(align=True)
+            column.prop(properties, "display_fraction", slider=True)
+            column.prop(properties, "point_size", slider=True)
+            layout.operator("curecon.frame_cloud", icon="VIEWZOOM")
+        row = layout.row(align=True)
+        row.prop(properties, "show_cameras", toggle=True, icon="CAMERA_DATA")
+        sub = row.row(align=True)
+        sub.enabled = cameras.is_photo_camera(context.active_object)
+        sub.operator("curecon.look_through", text="Look Through")
+
+
+CLASSES = (CURECON_PT_photos, CURECON_PT_reconstruct, CURECON_PT_advanced, CURECON_PT_result)

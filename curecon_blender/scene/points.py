@@ -1,0 +1,127 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The fused cloud as point geometry: a PointCloud object with its attributes and a material that shows its colour."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+from ..core.ply import Cloud
+
+COLOUR = "Color"  # Blender's own spelling, which other tools look for
+MATERIAL = "CU-Recon Colour"
+CLOUD_KEY = "curecon_cloud"  # marks the point clouds that viewport.py draws
+RADIUS_PER_SPACING = 0.8  # points just overlap their nearest neighbours
+SPACING_CELLS = 64  # along the longest side, for the spacing estimate
+SPACING_SAMPLES = 48
+
+
+def add(cloud: Cloud, name: str, collection: bpy.types.Collection) -> bpy.types.Object:
+    """Link a PointCloud object with the cloud's points into `collection`.
+
+    Attributes: position, radius (world units, from the local spacing), Color (sRGB bytes), confidence in [0, 1] and
+    views. The points are stored in random order, so that any prefix of them is a fair sample of the whole.
+    """
+    order = np.random.default_rng(0).permutation(len(cloud))
+    data = _new_pointcloud(name, len(cloud))
+    colours = np.ones((len(cloud), 4), np.float32)
+    np.divide(cloud.colours[order], 255, out=colours[:, :3], dtype=np.float32)
+    _set(data, "position", "FLOAT_VECTOR", "vector", cloud.points[order])
+    radius = RADIUS_PER_SPACING * spacing(cloud.points)
+    _set(data, "radius", "FLOAT", "value", np.full(len(cloud), radius, np.float32))
+    _set(data, COLOUR, "BYTE_COLOR", "color_srgb", colours)
+    _set(data, "confidence", "FLOAT", "value", cloud.confidence[order])
+    _set(data, "views", "INT", "value", cloud.views[order].astype(np.int32))
+    data.materials.append(colour_material())
+    data[CLOUD_KEY] = radius
+    item = bpy.data.objects.new(name, data)
+    # As bounds Blender leaves the points out of Solid shading, where it would draw them grey; viewport.py draws them
+    # there in colour. Material Preview and renders show the points themselves.
+    item.display_type = "BOUNDS"
+    collection.objects.link(item)
+    return item
+
+
+def spacing(points: np.ndarray) -> float:
+    """Median distance to the nearest neighbour, in the unit of `points` (N,3), from a few full-density cells."""
+    if len(points) < 2:
+        return 0.01
+    rng = np.random.default_rng(0)
+    sample = points[rng.integers(0, len(points), 10_000)]
+    low, high = np.percentile(sample, [1, 99], axis=0)
+    cells_aside = SPACING_CELLS if len(points) > 50_000 else 1  # so that a cell holds enough neighbours
+    cell = max(float((high - low).max()) / cells_aside, 1e-9)
+    cells = np.floor((points - low) / cell).astype(np.int32)
+    keys = (cells[:, 0].astype(np.int64) << 42) + (cells[:, 1].astype(np.int64) << 21) + cells[:, 2]
+    chosen = np.unique(keys[rng.integers(0, len(points), SPACING_SAMPLES)])
+    inside = np.flatnonzero(np.isin(keys, chosen))
+    nearest = []
+    for key in chosen:
+        members = points[inside[keys[inside] == key]]
+        queries = members[rng.permutation(len(members))[:SPACING_SAMPLES]]
+        squared = ((queries[:, None] - members[None]) ** 2).sum(axis=2)
+        squared[squared == 0] = np.inf  # the point itself, and exact doubles
+        nearest.append(squared.min(axis=1))
+    distances = np.sqrt(np.concatenate(nearest))
+    distances = distances[np.isfinite(distances)]
+    return float(np.median(distances)) if len(distances) else cell
+
+
+def colour_material() -> bpy.types.Material:
+    """The shared material: the photos' colours as they are, whatever the scene's light."""
+    material = bpy.data.materials.get(MATERIAL)
+    if material is not None:
+        return material
+    material = bpy.data.materials.new(MATERIAL)
+    if material.node_tree is None:  # before Blender 5.0 a new material has no nodes yet
+        material.use_nodes = True
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    nodes.clear()
+    colour = nodes.new("ShaderNodeAttribute")
+    colour.attribute_type, colour.attribute_name = "GEOMETRY", COLOUR
+    emission = nodes.new("ShaderNodeEmission")
+    output = nodes.new("ShaderNodeOutputMaterial")
+    colour.location, emission.location, output.location = (-200, 0), (0, 0), (200, 0)
+    links.new(colour.outputs["Color"], emission.inputs["Color"])
+    links.new(emission.outputs["Emission"], output.inputs["Surface"])
+    if hasattr(material, "cycles"):  # the Cycles add-on can be switched off
+        # Each point would otherwise count as a lamp, and Cycles would sample millions of them.
+        material.cycles.emission_sampling = "NONE"
+    return material
+
+
+def _new_pointcloud(name: str, count: int) -> bpy.types.PointCloud:
+    data = bpy.data.pointclouds.new(name)
+    if hasattr(data, "resize"):  # Blender 5
+        data.resize(count)
+        return data
+    # Blender 4.5 gives Python no way to size a point cloud: take one that geometry nodes made.
+    bpy.data.pointclouds.remove(data)
+    tree = bpy.data.node_groups.new(name, "GeometryNodeTree")
+    tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
+    source, output = tree.nodes.new("GeometryNodePoints"), tree.nodes.new("NodeGroupOutput")
+    source.inputs["Count"].default_value = count
+    tree.links.new(source.outputs[0], output.inputs[0])
+    mesh = bpy.data.meshes.new(name)
+    holder = bpy.data.objects.new(name, mesh)
+    scene = bpy.data.scenes.new(name)  # of its own: the user's scene is neither evaluated nor touched
+    try:
+        scene.collection.objects.link(holder)
+        holder.modifiers.new(name, "NODES").node_group = tree
+        scene.view_layers[0].update()
+        depsgraph = scene.view_layers[0].depsgraph
+        geometry = holder.evaluated_get(depsgraph).evaluated_geometry()  # owns the point cloud copied from it
+        data = geometry.pointcloud.copy()
+    finally:
+        bpy.data.scenes.remove(scene)
+        bpy.data.objects.remove(holder)
+        bpy.data.meshes.remove(mesh)
+        bpy.data.node_groups.remove(tree)
+    data.name = name
+    return data
+
+
+def _set(data: bpy.types.PointCloud, name: str, kind: str, field: str, values: np.ndarray) -> None:
+    attribute = data.attributes.get(name) or data.attributes.new(name, kind, "POINT")
+    attribute.data.foreach_set(field, np.ascontiguousarray(values).ravel())

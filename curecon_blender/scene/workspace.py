@@ -1,0 +1,121 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A finished workspace as a collection: one part a component, each with its cameras and its cloud."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+
+from ..core import components
+from ..core.ply import read_cloud
+from ..core.types import Component, Frame
+from . import cameras, points
+
+WORKSPACE_KEY = "curecon_workspace"  # on the collection: the workspace it was imported from
+
+
+@dataclass(frozen=True, kw_only=True)
+class Imported:
+    """What an import brought in. `clouds` are the PointCloud objects, largest component first."""
+
+    collection: bpy.types.Collection
+    clouds: tuple[bpy.types.Object, ...]
+    cameras: tuple[bpy.types.Object, ...]
+    frame: Frame
+    parts: int
+    missing_pictures: int
+
+    @property
+    def points(self) -> int:
+        return sum(len(cloud.data.points) for cloud in self.clouds)
+
+
+def import_workspace(scene: bpy.types.Scene, folder: Path) -> Imported:
+    """Bring the workspace's cameras and clouds into the scene, in place of what an earlier import of it brought.
+
+    A component whose cloud has not been fused yet comes with its cameras alone. The render size, pixel aspect and
+    active camera follow the first photo. Everything is read before the scene is touched. Raises WorkspaceError.
+    """
+    folder = folder.resolve()
+    parts = components.read(folder)
+    clouds = [read_cloud(path) if (path := folder / part.cloud).is_file() else None for part in parts]
+
+    _remove_earlier(scene, folder)
+    name = f"CU-Recon: {folder.name.removesuffix('_curecon')}"
+    top = bpy.data.collections.new(name)
+    top[WORKSPACE_KEY] = str(folder)
+    scene.collection.children.link(top)
+    cloud_objects, camera_objects, missing = [], [], 0
+    for part, cloud in zip(parts, clouds, strict=True):
+        collection = top if len(parts) == 1 else _child(top, f"Part {part.index + 1}")
+        _describe(collection, part)
+        holder = _child(collection, "Cameras")
+        holder[cameras.CAMERAS_KEY] = True
+        size = cameras.display_size(part.views) if part.views else 1.0
+        for view in part.views:
+            camera_objects.append(cameras.add(view, folder, holder, size))
+            missing += not camera_objects[-1].data.background_images
+        if cloud is not None:
+            label = "Cloud" if len(parts) == 1 else f"Cloud {part.index + 1}"
+            cloud_objects.append(points.add(cloud, label, collection))
+    if camera_objects:
+        scene.camera = camera_objects[0]
+        cameras.fit_render(scene, camera_objects[0])
+    if parts and parts[0].frame.scale == "metres":
+        scene.unit_settings.system, scene.unit_settings.length_unit = "METRIC", "METERS"
+        scene.unit_settings.scale_length = 1.0
+    elif parts:
+        scene.unit_settings.system = "NONE"  # lengths that nobody measured must not read as metres
+    return Imported(
+        collection=top, clouds=tuple(cloud_objects), cameras=tuple(camera_objects),
+        frame=parts[0].frame if parts else Frame(scale="unknown", up="given"), parts=len(parts),
+        missing_pictures=missing,
+    )
+
+
+def clouds_of(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The scene's imported clouds, largest first."""
+    found = [item for item in scene.objects if item.type == "POINTCLOUD" and points.CLOUD_KEY in item.data]
+    return sorted(found, key=lambda item: -len(item.data.points))
+
+
+def _describe(collection: bpy.types.Collection, part: Component) -> None:
+    """Put what is known of the part's frame where the user and other tools can read it."""
+    frame = part.frame
+    collection["scale"], collection["up"], collection["north"] = frame.scale, frame.up, frame.north
+    if frame.origin is not None:
+        collection["origin_latitude"] = frame.origin.latitude
+        collection["origin_longitude"] = frame.origin.longitude
+        collection["origin_altitude"] = frame.origin.altitude
+    if frame.gps_residual is not None:
+        collection["gps_residual"] = frame.gps_residual
+    if frame.note:
+        collection["note"] = frame.note
+
+
+def _child(parent: bpy.types.Collection, name: str) -> bpy.types.Collection:
+    child = bpy.data.collections.new(name)
+    parent.children.link(child)
+    return child
+
+
+def _remove_earlier(scene: bpy.types.Scene, folder: Path) -> None:
+    for collection in list(scene.collection.children):
+        if collection.get(WORKSPACE_KEY) != str(folder):
+            continue
+        for item in list(collection.all_objects):
+            data = item.data
+            ours = cameras.is_photo_camera(item) or (item.type == "POINTCLOUD" and points.CLOUD_KEY in data)
+            if not ours:  # something that the user put here: keep it in the scene
+                if item.name not in scene.collection.objects:
+                    scene.collection.objects.link(item)
+                continue
+            bpy.data.objects.remove(item)
+            if not data.users:
+                (bpy.data.cameras if isinstance(data, bpy.types.Camera) else bpy.data.pointclouds).remove(data)
+        for child in list(collection.children_recursive):
+            bpy.data.collections.remove(child)
+        bpy.data.collections.remove(collection)

@@ -1,0 +1,168 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The add-on's side of the worker protocol, against small real processes that speak it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import textwrap
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from curecon_blender.core.messages import Failure, Log, Message, Progress, Result, StageStarted
+from curecon_blender.job import Job, Status, WorkerError, duration
+
+StartWorker = Callable[..., Job]
+PRELUDE = """
+import json, sys, time
+def say(of_type, **fields): print(json.dumps({"type": of_type, **fields}), flush=True)
+"""
+
+
+@pytest.fixture
+def start_worker(tmp_path: Path) -> StartWorker:
+    """Starts a Job whose worker runs the given Python lines."""
+
+    def start(lines: str, grace: float = 20.0) -> Job:
+        package = tmp_path / "worker package" / "curecon_blender" / "core"
+        package.mkdir(parents=True)
+        (package.parent / "__init__.py").touch()
+        (package / "__init__.py").touch()
+        (package / "worker.py").write_text(PRELUDE + textwrap.dedent(lines), encoding="utf-8")
+        return Job(
+            ["reconstruct", "photos"], python=sys.executable, import_paths=[package.parent.parent],
+            log=tmp_path / "worker.log", grace=grace,
+        )
+
+    return start
+
+
+def wait_for(job: Job, kind: type[Message]) -> list[Message]:
+    """Poll until a message of `kind` has come."""
+    seen: list[Message] = []
+    deadline = time.monotonic() + 30
+    while not any(isinstance(message, kind) for message in seen):
+        assert time.monotonic() < deadline, seen
+        seen += job.poll()
+        time.sleep(0.01)
+    return seen
+
+
+def finish(job: Job) -> list[Message]:
+    assert job.wait(30)
+    messages = job.poll()
+    assert job.finished
+    return messages
+
+
+def test_messages_arrive_in_order_and_end_with_the_result(start_worker: StartWorker) -> None:
+    job = start_worker("""
+        say("stage", stage="depth", index=0, count=1)
+        for done in range(1, 4):
+            say("progress", stage="depth", done=done, total=3, overall=done / 3, eta=None)
+        say("result", summary={"points": 7, "arguments": sys.argv[1:]})
+    """)
+    messages = finish(job)
+    assert [m.done for m in messages if isinstance(m, Progress)] == [1, 2, 3]
+    assert messages[-1] == Result(summary={"points": 7, "arguments": ["--messages", "reconstruct", "photos"]})
+    status = Status()
+    for message in messages:
+        status.apply(message)
+    assert status.result is not None and status.failure is None
+    assert [(s.stage, s.fraction) for s in status.stages] == [("depth", 1.0)]
+
+
+def test_garbage_on_stdout_becomes_a_log_line(start_worker: StartWorker) -> None:
+    job = start_worker("""
+        print("Elapsed time: 0.1 [minutes]")
+        print('{"type": "nonsense"}')
+        sys.stdout.flush()
+        sys.stdout.buffer.write(b"\\xff\\xfe broken bytes\\n")
+        print("[1, 2]", "null", sep="\\n", flush=True)
+        say("result", summary={})
+    """)
+    messages = finish(job)
+    assert [type(m) for m in messages] == [Log, Log, Log, Log, Log, Result]
+    assert messages[0] == Log(text="Elapsed time: 0.1 [minutes]")
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="SIGKILL is there on POSIX systems only")
+def test_a_killed_worker_is_a_failure_that_says_how_to_go_on(start_worker: StartWorker) -> None:
+    job = start_worker("""
+        say("stage", stage="depth", index=0, count=1)
+        time.sleep(60)
+    """)
+    wait_for(job, StageStarted)
+    os.kill(job.pid, signal.SIGKILL)
+    (failure,) = finish(job)
+    assert isinstance(failure, Failure)
+    assert "killed" in failure.message and "memory" in failure.message
+    assert "goes on from the last finished photo" in failure.remedy
+
+
+def test_a_worker_that_dies_tells_its_last_words_and_where_the_log_is(start_worker: StartWorker) -> None:
+    job = start_worker('sys.exit("the sky fell")')
+    (failure,) = finish(job)
+    assert isinstance(failure, Failure)
+    assert "the sky fell" in failure.message and str(job.log) in failure.remedy
+
+
+def test_a_worker_python_without_torch_names_the_preference(start_worker: StartWorker) -> None:
+    job = start_worker("import torch_that_is_not_installed")
+    (failure,) = finish(job)
+    assert isinstance(failure, Failure)
+    assert "torch_that_is_not_installed" in failure.message and "Worker Python" in failure.remedy
+
+
+def test_an_interpreter_that_is_not_there_is_an_error_with_a_remedy(tmp_path: Path) -> None:
+    with pytest.raises(WorkerError, match="no-python-here") as caught:
+        Job([], python=tmp_path / "no-python-here", import_paths=[tmp_path], log=tmp_path / "log")
+    assert "Worker Python" in caught.value.remedy
+
+
+def test_cancel_lets_the_worker_stop_by_itself(start_worker: StartWorker) -> None:
+    job = start_worker("""
+        say("log", text="ready")
+        assert sys.stdin.readline() == "cancel\\n"
+        say("failure", kind="cancelled", message="Cancelled after tidying up.", remedy="", exit_code=130)
+    """)
+    wait_for(job, Log)
+    job.cancel()
+    (failure,) = finish(job)
+    assert isinstance(failure, Failure) and failure.message == "Cancelled after tidying up."
+
+
+def test_cancel_ends_a_worker_that_does_not_listen(start_worker: StartWorker) -> None:
+    job = start_worker("""
+        import signal
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        say("log", text="ready")
+        time.sleep(60)
+    """, grace=0.2)
+    wait_for(job, Log)
+    job.cancel()
+    (failure,) = finish(job)
+    assert isinstance(failure, Failure) and failure.kind == "cancelled"
+
+
+def test_close_ends_the_worker(start_worker: StartWorker) -> None:
+    job = start_worker("""
+        say("log", text="ready")
+        sys.stdin.read()
+    """)
+    wait_for(job, Log)
+    job.close()
+    finish(job)
+    with pytest.raises(ProcessLookupError):
+        os.kill(job.pid, 0)
+
+
+@pytest.mark.parametrize(("seconds", "words"), [(20, "less than a minute"), (150, "2 min"), (3599, "1 h 00 min"),
+                                                (9000, "2 h 30 min")])
+def test_duration_reads_as_words(seconds: float, words: str) -> None:
+    assert duration(seconds) == words

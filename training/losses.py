@@ -1,0 +1,53 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The unified focal loss on each level's probability volume, as UniMVSNet defines it."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from curecon_blender.core.network import LevelOutput
+
+GAMMA = {2: 2.0, 1: 1.0, 0: 0.0}
+ALPHA = {2: 0.75, 1: 0.5, 0: 0.25}
+LEVEL_WEIGHT = {2: 0.5, 1: 1.0, 0: 2.0}
+
+
+def unified_label(t: Tensor, first: Tensor, interval: float, count: int) -> Tensor:
+    """Labels (B,M,h,w): 1 - (t - t_m) / r for the hypothesis with t_m <= t < t_m + r, 0 for all others."""
+    index = torch.arange(count, device=t.device, dtype=t.dtype).view(1, count, 1, 1)
+    offset = (t - first) / interval - index
+    return torch.where((offset >= 0) & (offset < 1), 1 - offset, 0.0)
+
+
+def _dedicated(x: Tensor) -> Tensor:
+    """UniMVSNet's range control: a sigmoid of base 5."""
+    return 1.0 / (1.0 + torch.pow(5.0, -x))
+
+
+def unified_focal_loss(output: LevelOutput, t: Tensor, valid: Tensor, level: int) -> Tensor:
+    """Scalar loss of one level: `t` (B,1,h,w) true sweep coordinate, `valid` (B,1,h,w) bool."""
+    label = unified_label(t, output.first, output.interval, output.logits.shape[1])
+    probability = torch.sigmoid(output.logits)
+    largest = label.max(1, keepdim=True).values.clamp_min(0.05)
+    positive = label > 0
+    gamma = GAMMA[level]
+    error = (label - probability).abs() / largest
+    weight_positive = ((_dedicated(error) - 0.5) * 4 + 1) ** gamma
+    weight_negative = ALPHA[level] * ((_dedicated(probability / largest) - 0.5) * 2).clamp_min(1e-6) ** gamma
+    weight = torch.where(positive, weight_positive, weight_negative).detach()
+    bce = F.binary_cross_entropy_with_logits(output.logits, label, reduction="none")
+    per_pixel = (weight * bce).sum(1, keepdim=True)
+    return (per_pixel * valid).sum() / valid.sum().clamp_min(1)
+
+
+def total_loss(outputs: list[LevelOutput], t: Tensor, valid: Tensor) -> Tensor:
+    """Levels together; `t`, `valid` (B,1,H,W) at full resolution."""
+    loss = t.new_zeros(())
+    for level, output in zip((2, 1, 0), outputs, strict=True):
+        step = 2**level
+        t_level, valid_level = t[..., step // 2 :: step, step // 2 :: step], valid[..., step // 2 :: step, step // 2 :: step]
+        loss = loss + LEVEL_WEIGHT[level] * unified_focal_loss(output, t_level, valid_level, level)
+    return loss

@@ -1,0 +1,435 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""OpenGL drawing of a world: colour and exact z-depth.
+
+Row 0 of every array is the top of the picture: the projection turns y over, so nothing has to be flipped afterwards.
+A pixel (column i, row j) is sampled at (i + 0.5, j + 0.5), as in COLMAP.
+"""
+
+from collections import OrderedDict
+from dataclasses import dataclass
+
+import moderngl
+import numpy as np
+
+from training.assets import Assets, Material, Mesh
+from training.scene import World
+
+SHADOW_SIZE = 1024
+NEAR = 0.25  # metres
+TEXTURE_BUDGET = 400  # textures kept on the GPU
+MESH_BUDGET = 400
+
+# Every shader is compiled in variants (#define) because the software renderer runs both sides of a branch.
+_VERTEX = """
+uniform mat4 u_model; uniform mat3 u_normal; uniform mat4 u_view_projection; uniform vec4 u_depth_row;
+uniform mat4 u_shadow;
+in vec3 in_position; in vec3 in_normal; in vec2 in_uv; in vec2 in_uv2;
+out vec3 v_world; out vec3 v_normal; out vec2 v_uv; out vec2 v_uv2; out float v_depth; out vec3 v_shadow;
+void main() {
+    vec4 world = u_model * vec4(in_position, 1.0);
+    v_world = world.xyz;
+    v_normal = u_normal * in_normal;
+    v_uv = in_uv; v_uv2 = in_uv2;
+    v_depth = dot(u_depth_row, world);
+    v_shadow = (u_shadow * world).xyz * 0.5 + 0.5;
+    gl_Position = u_view_projection * world;
+}
+"""
+
+_COLOUR_FRAGMENT = """
+uniform sampler2D u_texture; uniform sampler2D u_texture1; uniform sampler2D u_texture2;
+uniform sampler2D u_ao; uniform sampler2D u_detail; uniform sampler2DShadow u_shadow_map;
+uniform vec3 u_tiles; uniform vec3 u_tint; uniform float u_gloss;
+uniform float u_detail_tile; uniform float u_detail_strength; uniform float u_detail_mean;
+uniform vec3 u_sun; uniform vec3 u_sun_colour; uniform vec3 u_ambient[9];
+uniform vec3 u_eye; uniform float u_haze; uniform float u_exposure; uniform vec3 u_haze_colour;
+in vec3 v_world; in vec3 v_normal; in vec2 v_uv; in vec2 v_uv2; in float v_depth; in vec3 v_shadow;
+layout(location = 0) out vec4 o_colour; layout(location = 1) out float o_depth;
+
+vec3 ambient(vec3 n) {
+    vec3 d = vec3(n.x, n.z, -n.y);    // Z up to the y-up frame of the coefficients
+    vec3 e = u_ambient[0] * 0.282095
+        + 0.6667 * 0.488603 * (u_ambient[1] * d.y + u_ambient[2] * d.z + u_ambient[3] * d.x)
+        + 0.25 * (1.092548 * (u_ambient[4] * d.x * d.y + u_ambient[5] * d.y * d.z + u_ambient[7] * d.x * d.z)
+        + 0.315392 * u_ambient[6] * (3.0 * d.z * d.z - 1.0) + 0.546274 * u_ambient[8] * (d.x * d.x - d.y * d.y));
+    return max(e, vec3(0.25) * u_ambient[0] * 0.282095);
+}
+vec4 box_mapped(sampler2D image, vec3 normal, float tile) {
+    vec3 a = abs(normal);
+    vec3 p = v_world / tile, dx = dFdx(p), dy = dFdy(p);
+    vec4 x = vec4(p.y, -p.z, dx.y, -dx.z), y = vec4(p.x, -p.z, dx.x, -dx.z), z = vec4(p.xy, dx.xy);
+    bool is_z = a.z > a.x && a.z > a.y, is_x = a.x > a.y;
+    vec4 chosen = is_z ? z : is_x ? x : y;
+    vec2 chosen_dy = is_z ? dy.xy : is_x ? vec2(dy.y, -dy.z) : vec2(dy.x, -dy.z);
+    // The level comes from the chosen plane: automatic derivatives would jump where neighbours choose another.
+    return textureGrad(image, chosen.xy, chosen.zw, chosen_dy);
+}
+void main() {
+    vec3 normal = normalize(v_normal);
+#if MODE == 1
+    vec3 base = texture(u_texture, v_uv / u_tiles.x).rgb;
+    base = mix(base, texture(u_texture1, v_uv / u_tiles.y).rgb, v_uv2.x);
+    vec4 texel = vec4(mix(base, texture(u_texture2, v_uv / u_tiles.z).rgb, v_uv2.y), 1.0);
+#elif MODE == 2
+    vec4 texel = box_mapped(u_texture, normal, u_tiles.x);
+#else
+    vec4 texel = texture(u_texture, v_uv / u_tiles.x);
+#endif
+#if CUT
+    if (texel.a < 0.5) discard;
+#endif
+    vec3 albedo = texel.rgb * texel.rgb * u_tint;
+#if DETAIL
+    float fine = dot(box_mapped(u_detail, normal, u_detail_tile).rgb, vec3(0.333));
+    albedo *= max(1.0 + u_detail_strength * (fine / u_detail_mean - 1.0), 0.2);
+#endif
+    vec3 to_eye = normalize(u_eye - v_world);
+    if (dot(normal, to_eye) < 0.0) normal = -normal;   // models are double-sided
+    float facing = max(dot(normal, u_sun), 0.0);
+    float lit = texture(u_shadow_map, v_shadow - vec3(0.0, 0.0, 0.0008));
+    vec3 aside = abs(v_shadow - 0.5);
+    if (max(aside.x, max(aside.y, aside.z)) > 0.5) lit = 1.0;   // the map covers the site only
+    vec3 light = ambient(normal);
+#if AO
+    light *= texture(u_ao, v_uv2).r;
+#endif
+    light += u_sun_colour * lit * facing;
+    float glint = u_gloss * lit * pow(max(dot(normal, normalize(u_sun + to_eye)), 0.0), 24.0);
+    vec3 colour = (albedo * light + u_sun_colour * glint) * u_exposure;
+    colour = mix(u_haze_colour, colour, exp(-u_haze * v_depth));
+    o_colour = vec4(sqrt(colour / (1.0 + 0.25 * colour)), 1.0);
+    o_depth = v_depth;
+}
+"""
+
+_DEPTH_FRAGMENT = """
+uniform sampler2D u_texture; uniform vec3 u_tiles;
+in vec2 v_uv; in float v_depth;
+layout(location = 0) out vec4 o_colour; layout(location = 1) out float o_depth;
+void main() {
+#if CUT
+    if (texture(u_texture, v_uv / u_tiles.x).a < 0.5) discard;
+#endif
+    o_colour = vec4(0.0); o_depth = v_depth;
+}
+"""
+_ATTRIBUTE_SIZES = {"in_position": 3, "in_normal": 3, "in_uv": 2, "in_uv2": 2}
+_FRAGMENTS = {"colour": _COLOUR_FRAGMENT, "depth": _DEPTH_FRAGMENT}
+
+_SKY_VERTEX = """
+#version 330
+out vec2 v_ndc;
+void main() {
+    v_ndc = vec2(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.0 : -1.0);
+    gl_Position = vec4(v_ndc, 1.0, 1.0);
+}
+"""
+
+_SKY_FRAGMENT = """
+#version 330
+uniform sampler2D u_texture; uniform mat3 u_world_from_ndc; uniform float u_turn;
+in vec2 v_ndc;
+layout(location = 0) out vec4 o_colour; layout(location = 1) out float o_depth;
+void main() {
+    vec3 d = normalize(u_world_from_ndc * vec3(v_ndc, 1.0));
+    vec2 uv = vec2((atan(d.y, d.x) + u_turn) / 6.2831853, acos(clamp(d.z, -1.0, 1.0)) / 3.1415927);
+    o_colour = vec4(textureLod(u_texture, uv, 0.0).rgb, 1.0);
+    o_depth = 0.0;
+}
+"""
+
+
+@dataclass(frozen=True)
+class _Draw:
+    """One draw call of the current world; centre (3,) and radius bound it in the world."""
+
+    mesh: "_GpuMesh"
+    material: Material
+    transform: np.ndarray
+    normal_matrix: np.ndarray
+    tint: tuple[float, float, float]
+    gloss: float
+    centre: np.ndarray
+    radius: float
+
+
+class _GpuMesh:
+    """Vertex and index buffers of a mesh, with a vertex array for every program that draws it."""
+
+    def __init__(self, context: moderngl.Context, mesh: Mesh) -> None:
+        vertices = np.concatenate([mesh.positions, mesh.normals, mesh.uv, mesh.uv2], axis=1).astype("f4")
+        self._context = context
+        self._vertices = context.buffer(vertices.tobytes())
+        self._indices = context.buffer(np.ascontiguousarray(mesh.faces, "i4").tobytes())
+        self._arrays: dict[moderngl.Program, moderngl.VertexArray] = {}
+        low, high = mesh.positions.min(axis=0), mesh.positions.max(axis=0)
+        self.centre = (low + high) / 2
+        self.radius = float(np.linalg.norm(high - low) / 2)
+
+    def draw(self, program: moderngl.Program) -> None:
+        if program not in self._arrays:
+            # A program without lighting drops attributes; their bytes are skipped.
+            layout = " ".join(f"{n}f" if name in program else f"{4 * n}x" for name, n in _ATTRIBUTE_SIZES.items())
+            used = [name for name in _ATTRIBUTE_SIZES if name in program]
+            content = [(self._vertices, layout, *used)]
+            self._arrays[program] = self._context.vertex_array(program, content, index_buffer=self._indices)
+        self._arrays[program].render()
+
+    def release(self) -> None:
+        for array in self._arrays.values():
+            array.release()
+        self._vertices.release()
+        self._indices.release()
+
+
+def _set(program: moderngl.Program, **values: object) -> None:
+    """Set uniforms by name; ones that the compiler dropped are passed over, matrices (row-major) are transposed."""
+    for name, value in values.items():
+        uniform = program.get(name, None)
+        if uniform is None:
+            continue
+        if isinstance(value, np.ndarray):
+            matrix = value.T if value.ndim == 2 and value.shape[0] == value.shape[1] else value
+            uniform.write(np.ascontiguousarray(matrix, "f4").tobytes())
+        else:
+            uniform.value = value
+
+
+class Renderer:
+    """Draws worlds; models and textures stay on the GPU between worlds."""
+
+    def __init__(self, assets: Assets, samples: int | None = None) -> None:
+        """`samples` a pixel for colour (depth always has one); None: 4 on a GPU, 1 on software OpenGL, where 4 cost
+        as much as two more pictures."""
+        self.assets = assets
+        self.context = moderngl.create_standalone_context(backend="egl")
+        software = "llvmpipe" in self.context.info["GL_RENDERER"]
+        self._samples = samples or (1 if software else min(4, self.context.max_samples))
+        self._programs: dict[tuple[str, int, bool, bool, bool], moderngl.Program] = {}
+        self._sky = self.context.program(vertex_shader=_SKY_VERTEX, fragment_shader=_SKY_FRAGMENT)
+        self._sky_array = self.context.vertex_array(self._sky, [])
+        self._textures: OrderedDict[str, tuple[moderngl.Texture, float]] = OrderedDict()
+        self._meshes: OrderedDict[str, list[_GpuMesh]] = OrderedDict()
+        self._temporary: list[_GpuMesh] = []
+        self._targets: dict[tuple[int, int], moderngl.Framebuffer] = {}
+        self._smooth_targets: dict[tuple[int, int], tuple[moderngl.Framebuffer, moderngl.Framebuffer]] = {}
+        self._shadow_map = self.context.depth_texture((SHADOW_SIZE, SHADOW_SIZE))
+        self._shadow_map.compare_func = "<="
+        self._shadow_map.filter = (moderngl.LINEAR, moderngl.LINEAR)
+        self._shadow_map.repeat_x = self._shadow_map.repeat_y = False
+        self._shadow_target = self.context.framebuffer(depth_attachment=self._shadow_map)
+        self._draws: list[_Draw] = []
+        self._world: World | None = None
+        self._far = 100.0
+
+    def upload(self, world: World) -> None:
+        """Make `world` the one that is drawn, and draw its shadow map."""
+        for mesh in self._temporary:
+            mesh.release()
+        self._temporary = []
+        self._draws = []
+        while len(self._textures) > TEXTURE_BUDGET:
+            self._textures.popitem(last=False)[1][0].release()
+        for instance in world.instances:
+            if instance.key is None:
+                loaded = [_GpuMesh(self.context, m) for m in instance.meshes]
+                self._temporary += loaded
+            else:
+                if instance.key not in self._meshes:
+                    self._meshes[instance.key] = [_GpuMesh(self.context, m) for m in instance.meshes]
+                self._meshes.move_to_end(instance.key)
+                loaded = self._meshes[instance.key]
+            transform = instance.transform
+            normal_matrix = np.linalg.inv(transform[:3, :3]).T
+            stretch = float(np.linalg.norm(transform[:3, :3], axis=0).max())
+            for gpu_mesh, mesh in zip(loaded, instance.meshes, strict=True):
+                cut = mesh.material.alpha_cut
+                material = mesh.material if cut or instance.override is None else instance.override
+                centre = transform[:3, :3] @ gpu_mesh.centre + transform[:3, 3]
+                self._draws.append(
+                    _Draw(
+                        gpu_mesh,
+                        material,
+                        transform,
+                        normal_matrix,
+                        instance.tint,
+                        instance.gloss,
+                        centre,
+                        gpu_mesh.radius * stretch,
+                    )
+                )
+        used = {i.key for i in world.instances}
+        while len(self._meshes) > MESH_BUDGET and next(iter(self._meshes)) not in used:
+            for mesh in self._meshes.popitem(last=False)[1]:
+                mesh.release()
+        self._world = world
+        self._far = 2.0 * max(world.terrain.far, 4 * world.terrain.radius)
+        self._draw_shadow_map()
+
+    def render(self, K: np.ndarray, cam_from_world: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+        """Colour (H,W,3) uint8 and z-depth (H,W) float32 metres (0: sky) of one camera; size is (W, H)."""
+        target = self._target(size)
+        if self._samples == 1:
+            view_projection = self._draw_world("colour", target, K, cam_from_world, size)
+            self._draw_sky(view_projection)
+            return self._read_colour(target, size), self._read_depth(target, size)
+        smooth, resolved = self._smooth_targets_of(size)
+        view_projection = self._draw_world("colour", smooth, K, cam_from_world, size)
+        self._draw_sky(view_projection)
+        self.context.copy_framebuffer(resolved, smooth)
+        return self._read_colour(resolved, size), self.render_depth(K, cam_from_world, size)
+
+    def render_depth(self, K: np.ndarray, cam_from_world: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+        """Only the z-depth (H,W) float32: a quick look before the full pictures."""
+        target = self._target(size)
+        self._draw_world("depth", target, K, cam_from_world, size)
+        return self._read_depth(target, size)
+
+    def _read_colour(self, target: moderngl.Framebuffer, size: tuple[int, int]) -> np.ndarray:
+        colour = np.frombuffer(target.read(components=4), np.uint8).reshape(size[1], size[0], 4)
+        return np.ascontiguousarray(colour[..., :3])
+
+    def _read_depth(self, target: moderngl.Framebuffer, size: tuple[int, int]) -> np.ndarray:
+        data = target.read(components=1, attachment=1, dtype="f4")
+        return np.frombuffer(data, np.float32).reshape(size[1], size[0])
+
+    def _target(self, size: tuple[int, int]) -> moderngl.Framebuffer:
+        if size not in self._targets:
+            self._targets[size] = self.context.framebuffer(
+                color_attachments=[self.context.texture(size, 4), self.context.texture(size, 1, dtype="f4")],
+                depth_attachment=self.context.depth_renderbuffer(size),
+            )
+        return self._targets[size]
+
+    def _smooth_targets_of(self, size: tuple[int, int]) -> tuple[moderngl.Framebuffer, moderngl.Framebuffer]:
+        """Colour only: a target with several samples a pixel, and one to gather them in."""
+        if size not in self._smooth_targets:
+            smooth = self.context.framebuffer(
+                color_attachments=[self.context.renderbuffer(size, 4, samples=self._samples)],
+                depth_attachment=self.context.depth_renderbuffer(size, samples=self._samples),
+            )
+            resolved = self.context.framebuffer(color_attachments=[self.context.renderbuffer(size, 4)])
+            self._smooth_targets[size] = (smooth, resolved)
+        return self._smooth_targets[size]
+
+    def _program(self, kind: str, material: Material) -> moderngl.Program:
+        """The shader for a material; what only matters to colour is left out of the depth shader's key."""
+        colour = kind == "colour"
+        mode = (1 if material.blend is not None else 2 if material.box_mapped else 0) if colour else 0
+        detail = colour and self._world.detail.strength > 0
+        key = (kind, mode, material.alpha_cut, detail, colour and material.ao is not None)
+        if key not in self._programs:
+            flags = zip(("MODE", "CUT", "DETAIL", "AO"), key[1:], strict=True)
+            head = "#version 330\n" + "".join(f"#define {name} {int(value)}\n" for name, value in flags)
+            self._programs[key] = self.context.program(head + _VERTEX, fragment_shader=head + _FRAGMENTS[kind])
+        return self._programs[key]
+
+    def _draw_world(
+        self,
+        kind: str,
+        target: moderngl.Framebuffer,
+        K: np.ndarray,
+        cam_from_world: np.ndarray,
+        size: tuple[int, int],
+    ) -> np.ndarray:
+        """Clear the target and draw everything that the camera may see; returns (4,4) clip-from-world."""
+        world = self._world
+        assert world is not None, "upload a world first"
+        target.use()
+        target.clear(0, 0, 0, 0)
+        self.context.enable_only(moderngl.DEPTH_TEST)
+        self.context.depth_func = "<="
+        width, height = size
+        projection = np.zeros((4, 4))
+        projection[0, :3] = 2 * K[0] / width  # clip x = 2 u / W - 1, u measured from the left edge
+        projection[1, :3] = 2 * K[1] / height  # the same for v, measured from the top: row 0 comes out as the top
+        projection[:2, 2] -= 1
+        far = self._far
+        projection[2, 2:] = (far + NEAR) / (far - NEAR), -2 * far * NEAR / (far - NEAR)
+        projection[3, 2] = 1
+        view = np.vstack([cam_from_world, [0, 0, 0, 1]])
+        view_projection = projection @ view
+        eye = -cam_from_world[:, :3].T @ cam_from_world[:, 3]
+        planes = view_projection[3] + np.concatenate([view_projection[:2], -view_projection[:2]])
+        planes = planes / np.linalg.norm(planes[:, :3], axis=1, keepdims=True)
+        seen = [d for d in self._draws if (planes[:, :3] @ d.centre + planes[:, 3]).min() > -d.radius]
+        seen.sort(key=lambda d: np.linalg.norm(d.centre - eye) + 0.3 * d.radius)  # near first: less is drawn twice
+        light, detail = world.light, world.detail
+        shared = {
+            "u_view_projection": view_projection, "u_depth_row": view[2], "u_shadow": self._shadow_matrix(),
+            "u_sun": light.sun, "u_sun_colour": light.sun_colour, "u_ambient": light.ambient.astype("f4"),
+            "u_eye": eye, "u_haze": light.haze, "u_exposure": light.exposure, "u_haze_colour": (0.75, 0.8, 0.88),
+            "u_texture": 0, "u_texture1": 1, "u_texture2": 2, "u_ao": 3, "u_detail": 4, "u_shadow_map": 5,
+            "u_detail_tile": detail.tile, "u_detail_strength": detail.strength,
+        }  # fmt: skip
+        if kind == "colour":
+            texture, shared["u_detail_mean"] = self._texture(detail.texture)
+            texture.use(4)
+            self._shadow_map.use(5)
+        self._draw_all(kind, seen, shared)
+        return view_projection
+
+    def _draw_all(self, kind: str, draws: list[_Draw], shared: dict[str, object]) -> None:
+        ready = set()
+        for draw in draws:
+            material = draw.material
+            program = self._program(kind, material)
+            if program not in ready:
+                ready.add(program)
+                _set(program, **shared)
+            if kind == "colour" or material.alpha_cut:
+                self._texture(material.texture)[0].use(0)
+            if kind == "colour" and material.blend is not None:
+                self._texture(material.blend[0])[0].use(1)
+                self._texture(material.blend[1])[0].use(2)
+            if kind == "colour" and material.ao is not None:
+                self._texture(material.ao)[0].use(3)
+            _set(program, u_model=draw.transform, u_normal=draw.normal_matrix)
+            _set(program, u_tiles=material.tiles, u_tint=draw.tint, u_gloss=draw.gloss)
+            draw.mesh.draw(program)
+
+    def _draw_sky(self, view_projection: np.ndarray) -> None:
+        light = self._world.light
+        # A clip point at infinity is the direction alone, so the translation column drops out.
+        world_from_ndc = np.linalg.inv(view_projection[[0, 1, 3], :3])
+        self._texture(light.sky)[0].use(0)
+        _set(self._sky, u_texture=0, u_world_from_ndc=world_from_ndc, u_turn=light.sky_turn)
+        self._sky_array.render(moderngl.TRIANGLES, vertices=3)
+
+    def _shadow_matrix(self) -> np.ndarray:
+        """(4,4) orthographic clip-from-world of the sun over the site."""
+        world = self._world
+        radius = 1.25 * max(world.site.radius, world.site.height) + 6
+        sun = world.light.sun
+        side = np.cross([0, 0, 1.0], sun)
+        side /= np.linalg.norm(side)
+        axes = np.stack([side, np.cross(sun, side), -sun]) / radius
+        axes[2] *= 0.5  # twice the depth, for long shadows at low sun
+        matrix = np.eye(4)
+        matrix[:3, :3] = axes
+        matrix[:3, 3] = -axes @ world.site.centre
+        return matrix
+
+    def _draw_shadow_map(self) -> None:
+        self._shadow_target.use()
+        self._shadow_target.clear(depth=1.0)
+        self.context.enable_only(moderngl.DEPTH_TEST)
+        self.context.depth_func = "<="
+        self.context.polygon_offset = (1.5, 4.0)
+        matrix = self._shadow_matrix()
+        self._draw_all("depth", self._draws, {"u_view_projection": matrix, "u_depth_row": matrix[2], "u_texture": 0})
+        self.context.polygon_offset = (0.0, 0.0)
+
+    def _texture(self, name: str) -> tuple[moderngl.Texture, float]:
+        """The GPU texture and its mean level in [0, 1]."""
+        if name not in self._textures:
+            image = self.assets.texture(name)
+            texture = self.context.texture(
+                image.shape[1::-1], image.shape[2], np.ascontiguousarray(image).tobytes(), alignment=1
+            )
+            texture.build_mipmaps()
+            texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
+            texture.anisotropy = 1.0  # more makes the software renderer crawl
+            self._textures[name] = (texture, float(image[..., :3].mean()) / 255)
+        self._textures.move_to_end(name)
+        return self._textures[name]

@@ -1,0 +1,290 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Random scenes: what stands where, how it is coloured and lit.  Pure numpy; frame Z up, metres, origin at the site."""
+
+import zlib
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from training.assets import Assets, Material, Mesh, subdivide, vertex_normals
+from training.procedural import Noise, Terrain, house, tulou
+
+FLOATING_ABOVE = 1.5  # a model whose lowest point is higher than this (metres) is a part without its base
+GROUND_TILE = (3.0, 9.0)  # metres covered by one repeat of a photo texture on the ground
+DRONE_TILE = (50.0, 110.0)  # the same for textures that are drone photos
+WALL_TILE = (1.5, 5.0)
+
+
+@dataclass(frozen=True)
+class Instance:
+    """Meshes placed in the world.  `key` names meshes that stay the same between scenes (kept on the GPU)."""
+
+    meshes: tuple[Mesh, ...]
+    transform: np.ndarray  # (4,4) world from model
+    key: str | None = None
+    tint: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    gloss: float = 0.0
+    override: Material | None = None  # replaces the colour of every mesh that is not alpha-cut
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What a flight is about: a cylinder on the ground; centre (3,) at ground level."""
+
+    centre: np.ndarray
+    radius: float
+    height: float
+
+
+@dataclass(frozen=True)
+class Light:
+    """Sun direction (3,) towards the sun, linear sun colour (3,), ambient SH (9,3) scaled, sky panorama and turn."""
+
+    sun: np.ndarray
+    sun_colour: np.ndarray
+    ambient: np.ndarray
+    sky: str
+    sky_turn: float  # radians about Z
+    haze: float  # extinction per metre
+    exposure: float
+
+
+@dataclass(frozen=True)
+class Detail:
+    """A fine texture multiplied onto everything, box-mapped, because game textures are coarse seen from near."""
+
+    texture: str
+    tile: float
+    strength: float
+
+
+@dataclass(frozen=True)
+class World:
+    instances: tuple[Instance, ...]
+    terrain: Terrain
+    subject: Subject  # the main building
+    site: Subject  # all buildings
+    light: Light
+    detail: Detail
+    solids: tuple[tuple[np.ndarray, np.ndarray, np.ndarray], ...]  # (4,4) world from box, lowest and highest corner
+
+    def inside(self, points: np.ndarray) -> bool:
+        """Whether any of the points (N,3) lies in the box of a closed building."""
+        homogeneous = np.column_stack([points, np.ones(len(points))])
+        for world_from_box, low, high in self.solids:
+            local = homogeneous @ np.linalg.inv(world_from_box).T[:, :3]
+            if ((local > low) & (local < high)).all(axis=1).any():
+                return True
+        return False
+
+
+def ground_texture(assets: Assets, rng: np.random.Generator) -> tuple[str, float]:
+    """A photo texture and the metres that one repeat of it covers."""
+    name = str(rng.choice(assets.names("texture")))
+    low, high = DRONE_TILE if "uav_" in name else GROUND_TILE
+    return name, float(rng.uniform(low, high))
+
+
+def wall_material(assets: Assets, rng: np.random.Generator) -> Material:
+    """Plaster, earth or any photo texture at a size that suits a wall."""
+    if rng.random() < 0.4:
+        return Material(f"plaster:{rng.integers(24)}", tiles=(float(rng.uniform(3, 6)),) * 3)
+    name = str(rng.choice([n for n in assets.names("texture") if "uav_" not in n]))
+    return Material(name, tiles=(float(rng.uniform(*WALL_TILE)),) * 3)
+
+
+def roof_material(assets: Assets, rng: np.random.Generator) -> Material:
+    if rng.random() < 0.7:
+        return Material(f"roof:{rng.integers(16)}", tiles=(float(rng.uniform(2.5, 5)),) * 3)
+    return wall_material(assets, rng)
+
+
+@lru_cache(maxsize=512)
+def _rough_model(assets: Assets, name: str, variant: int) -> tuple[Mesh, ...]:
+    """The model with long edges split and every vertex moved by noise (variant 0: as it is).
+
+    Walls of game models are single planes; a network trained on them would learn to prefer planes.
+    """
+    meshes = assets.model(name)
+    if variant == 0:
+        return meshes
+    rng = np.random.default_rng(variant * 7919 + zlib.crc32(name.encode()))
+    noise = Noise(rng)
+    amplitude = rng.uniform(0.02, 0.12)
+    wavelength = rng.uniform(0.8, 3.0)
+    out = []
+    for mesh in meshes:
+        if not mesh.material.alpha_cut:
+            mesh = subdivide(mesh, 0.45 * wavelength + 0.3, min(4 * len(mesh.faces), 14000))
+        p = mesh.positions
+        # The shift depends on the position only, so vertices that coincide stay together.
+        shift = np.stack([noise(p + o, wavelength, 2) for o in (0.0, 13.7, 29.1)], axis=1) * amplitude
+        moved = (p + shift).astype(np.float32)
+        out.append(replace(mesh, positions=moved, normals=vertex_normals(moved, mesh.faces)))
+    return tuple(out)
+
+
+def _bounds(meshes: tuple[Mesh, ...]) -> tuple[np.ndarray, np.ndarray]:
+    points = np.concatenate([m.positions for m in meshes])
+    return points.min(axis=0), points.max(axis=0)
+
+
+def _placement(position: np.ndarray, turn: float, scale: np.ndarray) -> np.ndarray:
+    """(4,4) scale (3,), then turn about Z (radians), then move."""
+    matrix = np.eye(4)
+    cos, sin = np.cos(turn), np.sin(turn)
+    matrix[:3, :3] = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]) * scale
+    matrix[:3, 3] = position
+    return matrix
+
+
+class _Layout:
+    """Where discs already stand."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self.rng = rng
+        self.discs: list[tuple[np.ndarray, float]] = []
+
+    def find(self, radius: float, spread: float, gap: float, tries: int = 30) -> np.ndarray | None:
+        """A free centre (2,) for a disc, as near the origin as the others allow."""
+        for trial in range(tries):
+            reach = spread * (0.2 + 0.8 * trial / tries)
+            centre = self.rng.normal(0, reach, 2) if self.discs else self.rng.normal(0, 2, 2)
+            if all(np.linalg.norm(centre - c) > gap * (radius + r) for c, r in self.discs):
+                self.discs.append((centre, radius))
+                return centre
+        return None
+
+
+@dataclass(frozen=True)
+class _Building:
+    meshes: tuple[Mesh, ...]
+    key: str | None
+    scale: np.ndarray
+    radius: float
+    height: float
+    override: Material | None
+    box: tuple[np.ndarray, np.ndarray] | None  # None where one can stand inside, as in a courtyard
+
+
+def _building(assets: Assets, rng: np.random.Generator, held_out: bool) -> _Building:
+    """A model (60 %), a Tulou or a procedural house."""
+    draw = rng.random()
+    if draw < 0.14:
+        wood = Material(
+            str(rng.choice(["ground/ph_beam_wall_01.jpg", "ground/ufo_s_wood003.jpg", "ground/ufo_floor_wood01.jpg"])),
+            tiles=(float(rng.uniform(1.5, 3)),) * 3,
+        )
+        meshes, radius, height = tulou(rng, wall_material(assets, rng), roof_material(assets, rng), wood, Noise(rng))
+        return _Building(tuple(meshes), None, np.ones(3), radius, height, None, None)
+    if draw < 0.38:
+        meshes = house(rng, wall_material(assets, rng), roof_material(assets, rng), Noise(rng))
+        low, high = _bounds(tuple(meshes))
+        return _Building(tuple(meshes), None, np.ones(3), float(np.hypot(*high[:2])), float(high[2]), None, (low, high))
+    name = str(rng.choice(assets.buildings(held_out)))
+    variant = int(rng.integers(0, 4))
+    meshes = _rough_model(assets, name, variant)
+    low, high = _bounds(meshes)
+    scale = rng.uniform(0.7, 1.4) * rng.uniform(0.9, 1.1, 3)
+    if "misc_" in name:  # statues modelled at the size of houses
+        scale = scale * rng.uniform(0.3, 1.0)
+    override = replace(wall_material(assets, rng), box_mapped=True) if rng.random() < 0.15 else None
+    radius = float(np.abs(np.stack([low, high])[:, :2] * scale[:2]).max()) * 1.1
+    return _Building(meshes, f"{name}#{variant}", scale, radius, float(high[2] * scale[2]), override, (low, high))
+
+
+def _tint(rng: np.random.Generator) -> tuple[float, float, float]:
+    grey = rng.uniform(0.75, 1.15)
+    return tuple(float(x) for x in grey * rng.uniform(0.92, 1.08, 3))
+
+
+def _scatter(
+    assets: Assets, rng: np.random.Generator, terrain: Terrain, layout: _Layout, kind: str, count: int, spread: float
+) -> list[Instance]:
+    """Rocks, trees or props on free ground; a few kinds a scene, many copies of each."""
+    usable = [n for n in assets.names(kind) if _bounds(assets.model(n))[0][2] < FLOATING_ABOVE]
+    kinds = rng.choice(usable, size=min(len(usable), int(rng.integers(1, 5))), replace=False)
+    found = []
+    for _ in range(count):
+        name = str(rng.choice(kinds))
+        meshes = _rough_model(assets, name, int(rng.integers(1, 3))) if kind == "rock" else assets.model(name)
+        low, high = _bounds(meshes)
+        largest = float((high - low)[:2].max())
+        size = {"tree": rng.uniform(0.35, 0.9), "rock": rng.uniform(0.15, 0.9), "prop": rng.uniform(0.5, 1.1)}[kind]
+        size *= min(1.0, 14.0 / largest)
+        centre = rng.normal(0, spread, 2)
+        if any(np.linalg.norm(centre - c) < r * 0.85 + 0.25 * largest * size for c, r in layout.discs):
+            continue
+        z = float(terrain.height(centre[None])[0]) - 0.05 - max(low[2], 0.0) * size
+        key = f"{name}#{id(meshes)}"
+        override = None
+        if kind == "rock" and rng.random() < 0.3:
+            override = Material(ground_texture(assets, rng)[0], tiles=(3.0,) * 3, box_mapped=True)
+        scale = size * rng.uniform(0.85, 1.15, 3)
+        place = _placement(np.append(centre, z), rng.uniform(0, 2 * np.pi), scale)
+        found.append(Instance(meshes, place, key, _tint(rng), 0.0, override))
+    return found
+
+
+def _light(assets: Assets, rng: np.random.Generator) -> Light:
+    elevation, azimuth = np.radians(rng.uniform(18, 75)), rng.uniform(0, 2 * np.pi)
+    sun = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
+    overcast = rng.random() < 0.25
+    power = rng.uniform(0.0, 0.35) if overcast else rng.uniform(0.9, 2.6)
+    warmth = rng.uniform(0, 1) * (1 - np.sin(elevation))
+    sky = str(rng.choice(assets.names("sky")))
+    ambient = assets.lighting(sky).copy()
+    ambient *= (1.0 if overcast else rng.uniform(0.35, 0.8)) / max(float(ambient[0].mean()) * 0.282, 1e-3)
+    ambient[1:] *= 0.6  # the panorama holds its own sun; ours casts the shadows
+    grey = ambient[0].mean()
+    ambient[0] = grey + 0.4 * (ambient[0] - grey)
+    level = grey * 0.282 + power * np.sin(elevation)
+    return Light(
+        sun=sun,
+        sun_colour=power * np.array([1.0, 1 - 0.18 * warmth, 1 - 0.4 * warmth]),
+        ambient=ambient,
+        sky=sky,
+        sky_turn=float(rng.uniform(0, 2 * np.pi)),
+        haze=float(rng.choice([0.0, 0.0, 2e-4, 1e-3]) * rng.uniform(0.3, 1)),
+        exposure=float(rng.uniform(1.0, 2.2) / level),
+    )
+
+
+def compose(assets: Assets, rng: np.random.Generator, held_out: bool) -> World:
+    """A scene from a random generator."""
+    horizon = rng.random() < 0.35
+    radius = float(rng.uniform(55, 85))
+    terrain = Terrain(rng, radius, float(rng.uniform(400, 2500)) if horizon else 2.5 * radius)
+    layout = _Layout(rng)
+    instances: list[Instance] = []
+    placed: list[Subject] = []
+    solids = []
+    gap = rng.uniform(0.65, 1.1)
+    for _ in range(int(rng.choice([1, 1, 2, 3, 4, 5, 6, 8]))):
+        building = _building(assets, rng, held_out)
+        centre = layout.find(building.radius, 22.0, gap)
+        if centre is None:
+            continue
+        z = terrain.level(centre, building.radius)
+        place = _placement(np.append(centre, z), rng.uniform(0, 2 * np.pi), building.scale)
+        gloss = float(rng.choice([0, 0, 0.15]) * rng.random())
+        instances.append(Instance(building.meshes, place, building.key, _tint(rng), gloss, building.override))
+        if building.box is not None:
+            solids.append((place, *building.box))
+        placed.append(Subject(np.append(centre, z), building.radius, building.height))
+    centre = np.mean([s.centre for s in placed], axis=0)
+    reach = max(float(np.linalg.norm(s.centre[:2] - centre[:2])) + s.radius for s in placed)
+    site = Subject(centre, reach, max(s.height for s in placed))
+    spread = site.radius + 8
+    for kind, most in (("rock", 14), ("tree", 26), ("prop", 10)):
+        count = int(rng.integers(0, most + 1) * (rng.random() < 0.75))
+        instances += _scatter(assets, rng, terrain, layout, kind, count, spread)
+    textures = [ground_texture(assets, rng) for _ in range(3)]
+    material = Material(
+        textures[0][0], blend=(textures[1][0], textures[2][0]), tiles=tuple(tile for _, tile in textures)
+    )
+    instances.append(Instance((terrain.mesh(material),), np.eye(4), None, _tint(rng)))
+    fine = [n for n in assets.names("texture") if "uav_" not in n]
+    detail = Detail(str(rng.choice(fine)), float(rng.uniform(1.2, 4)), float(rng.choice([0, 0.3, 0.6, 0.9])))
+    return World(tuple(instances), terrain, placed[0], site, _light(assets, rng), detail, tuple(solids))

@@ -1,0 +1,213 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Train LCM-MVSNet on scenes rendered as it goes; stop and resume at any moment.
+
+    python -m training.train --assets DIR --run DIR [--minutes 9] [--horizon 20000] [--device auto]
+
+A run folder holds state.pt (weights, EMA, optimiser, counters), log.jsonl (curves) and scenes/ (a pool of rendered
+scenes that renderer processes keep fresh). The same command goes on from where the last one stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import queue
+import signal
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from curecon_blender.core.network import LCMMVSNet, t_from_depth
+from training.dataset import Sample, training_sample
+from training.generator import load
+from training.losses import total_loss
+from training.pool import ScenePool
+
+LEARNING_RATE = 1e-3
+WARM_UP = 200  # samples
+EMA_DECAY = 0.998
+GRADIENT_NORM = 5.0
+SAVE_EVERY = 120.0  # seconds
+
+
+@dataclass
+class State:
+    """Everything a run goes on from."""
+
+    network: LCMMVSNet
+    ema: LCMMVSNet
+    optimiser: torch.optim.Optimizer
+    samples: int = 0
+    steps: int = 0
+
+
+def batch_tensors(samples: list[Sample], device: torch.device) -> dict[str, Tensor]:
+    """Samples of one size as the network's arguments (and the true depth), on the device."""
+    def stack(name: str) -> Tensor:
+        return torch.from_numpy(np.stack([getattr(s, name) for s in samples])).to(device)
+
+    return {
+        "images": stack("images").permute(0, 1, 4, 2, 3).float() / 255,
+        "K": stack("K"), "cam_from_world": stack("cam_from_world"), "scores": stack("scores"),
+        "near": torch.tensor([s.near for s in samples], dtype=torch.float32, device=device),
+        "far": torch.tensor([s.far for s in samples], dtype=torch.float32, device=device),
+        "depth": stack("depth").unsqueeze(1),
+    }
+
+
+def start(run: Path, device: torch.device) -> State:
+    """The run's state from state.pt, or a new one."""
+    torch.manual_seed(0)
+    network, ema = LCMMVSNet().to(device), LCMMVSNet().to(device)
+    ema.load_state_dict(network.state_dict())
+    for net in (network, ema):
+        net.features.to(memory_format=torch.channels_last)
+        net.regularisers.to(memory_format=torch.channels_last_3d)
+    state = State(network, ema, torch.optim.Adam(network.parameters(), lr=LEARNING_RATE))
+    if (run / "state.pt").exists():
+        saved = torch.load(run / "state.pt", map_location=device, weights_only=True)
+        network.load_state_dict(saved["network"])
+        ema.load_state_dict(saved["ema"])
+        state.optimiser.load_state_dict(saved["optimiser"])
+        state.samples, state.steps = saved["samples"], saved["steps"]
+    return state
+
+
+def save(state: State, run: Path) -> None:
+    partial = run / "state.pt.partial"
+    torch.save(
+        {"network": state.network.state_dict(), "ema": state.ema.state_dict(),
+         "optimiser": state.optimiser.state_dict(), "samples": state.samples, "steps": state.steps}, partial,
+    )
+    partial.replace(run / "state.pt")
+
+
+def learning_rate(samples: int, horizon: int) -> float:
+    """Linear warm-up, then a cosine down to 2 % at the horizon."""
+    warm = min(1.0, (samples + 1) / WARM_UP)
+    along = min(1.0, samples / horizon)
+    return LEARNING_RATE * warm * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * along)))
+
+
+@torch.no_grad()
+def update_ema(state: State) -> None:
+    # Early on the average must not remember the random start.
+    decay = min(EMA_DECAY, (1 + state.steps) / (10 + state.steps))
+    for mean, value in zip(state.ema.state_dict().values(), state.network.state_dict().values(), strict=True):
+        if mean.dtype.is_floating_point:
+            mean.lerp_(value, 1 - decay)
+        else:
+            mean.copy_(value)
+
+
+def feed(pool: ScenePool, out: queue.Queue[list[Sample]], stop: threading.Event, options: argparse.Namespace,
+         seed: int) -> None:
+    """Fill the queue with batches; each scene that is read gives several samples."""
+    rng = np.random.default_rng(seed)
+    size = (options.width, options.height)
+    batch: list[Sample] = []
+    while not stop.is_set():
+        scene = load(pool.pick(rng))
+        for _ in range(options.samples_per_scene):
+            sample = training_sample(scene, rng, options.sources, size)
+            if sample is None:
+                continue
+            batch.append(sample)
+            if len(batch) == options.batch:
+                while not stop.is_set():
+                    try:
+                        out.put(batch, timeout=1.0)
+                        break
+                    except queue.Full:
+                        continue
+                batch = []
+
+
+def step(state: State, batch: dict[str, Tensor], horizon: int, bf16: bool) -> dict[str, float]:
+    """One optimiser step; returns the figures for the log."""
+    for group in state.optimiser.param_groups:
+        group["lr"] = learning_rate(state.samples, horizon)
+    state.network.train()
+    depth, near, far = batch["depth"], batch["near"], batch["far"]
+    t = t_from_depth(depth.clamp_min(1e-3), near, far)
+    valid = (depth > 0) & (t >= 0) & (t < 1)
+    with torch.autocast(depth.device.type, torch.bfloat16, enabled=bf16):
+        outputs = state.network(*(batch[k] for k in ("images", "K", "cam_from_world", "near", "far", "scores")))
+    loss = total_loss(outputs, t, valid)
+    state.optimiser.zero_grad(set_to_none=True)
+    loss.backward()  # type: ignore[no-untyped-call]
+    norm = torch.nn.utils.clip_grad_norm_(state.network.parameters(), GRADIENT_NORM)
+    if torch.isfinite(norm):  # a bad sample costs its step, not the run
+        state.optimiser.step()
+    state.steps += 1
+    state.samples += len(depth)
+    update_ema(state)
+    error = ((outputs[-1].t - t).abs() * 128)[valid]  # in BlendedMVS's depth intervals
+    return {"loss": loss.item(), "epe": error.clamp_max(64).mean().item(),
+            "e1": (error > 1).float().mean().item() * 100, "e3": (error > 3).float().mean().item() * 100}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Train LCM-MVSNet; run it again to go on.")
+    parser.add_argument("--assets", type=Path, required=True, help="folder of models, textures and skies")
+    parser.add_argument("--run", type=Path, required=True, help="folder of this run's state, log and scene pool")
+    parser.add_argument("--minutes", type=float, default=9.0)
+    parser.add_argument("--horizon", type=int, default=20000, help="samples at which the learning rate has come down")
+    parser.add_argument("--batch", type=int, default=1)
+    parser.add_argument("--sources", type=int, default=3)
+    parser.add_argument("--width", type=int, default=256)
+    parser.add_argument("--height", type=int, default=192)
+    parser.add_argument("--samples-per-scene", type=int, default=3)
+    parser.add_argument("--pool", type=int, default=400, help="scenes kept on disk")
+    parser.add_argument("--renderers", type=int, default=1, help="processes that render new scenes")
+    parser.add_argument("--device", default="auto")
+    options = parser.parse_args()
+    device = torch.device("cuda" if options.device == "auto" and torch.cuda.is_available() else
+                          "cpu" if options.device == "auto" else options.device)
+    options.run.mkdir(parents=True, exist_ok=True)
+    state = start(options.run, device)
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    began = saved = time.monotonic()
+    batches: queue.Queue[list[Sample]] = queue.Queue(8)
+    sums: dict[str, float] = {}
+    count = 0
+    with ScenePool(options.run / "scenes", options.assets, options.pool, options.renderers) as pool, \
+            open(options.run / "log.jsonl", "a") as log:
+        feeder = threading.Thread(target=feed, args=(pool, batches, stop, options, state.samples), daemon=True)
+        feeder.start()
+        while not stop.is_set() and time.monotonic() - began < options.minutes * 60:
+            try:
+                batch = batch_tensors(batches.get(timeout=5.0), device)
+            except queue.Empty:
+                if not feeder.is_alive():
+                    raise RuntimeError("the thread that reads scenes has ended; its error is above") from None
+                continue
+            for name, value in step(state, batch, options.horizon, bf16=device.type in ("cpu", "cuda")).items():
+                sums[name] = sums.get(name, 0.0) + value
+            count += 1
+            if count == 50:
+                line = {"samples": state.samples, **{k: round(v / count, 4) for k, v in sums.items()},
+                        "alpha": [round(a, 3) for a in state.network.alpha.tolist()],
+                        "seconds": round(time.monotonic() - began, 1)}
+                print(json.dumps(line), file=log, flush=True)
+                print(json.dumps(line), flush=True)
+                sums, count = {}, 0
+            if time.monotonic() - saved > SAVE_EVERY:
+                save(state, options.run)
+                saved = time.monotonic()
+        stop.set()
+        save(state, options.run)
+    print(f"{state.samples} samples seen; state in {options.run / 'state.pt'}")
+
+
+if __name__ == "__main__":
+    main()
