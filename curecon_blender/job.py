@@ -39,7 +39,6 @@ MISSING_MODULE = re.compile(r"ModuleNotFoundError: No module named '([\w.]+)'")
 class WorkerError(CuReconError):
     """The worker process could not be started, or died without a word."""
 
-    exit_code = 8
     kind = "worker"
 
 
@@ -131,7 +130,7 @@ class Job:
             "PYTHONPATH": os.pathsep.join(str(path) for path in import_paths),
             "PYTHONUTF8": "1", "PYTHONUNBUFFERED": "1", "PYTHONDONTWRITEBYTECODE": "1",
         }
-        command = [str(python), "-m", "curecon_blender.core.worker", "--messages", *arguments]
+        command = [str(python), "-m", "curecon_blender.core", "--messages", *arguments]
         with open(log, "ab") as errors:
             self._log_start = errors.tell()
             try:

@@ -47,6 +47,10 @@ def counted(count: int, noun: str) -> str:
     return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
 
 
+def gibibytes(amount: float) -> str:
+    return f"{amount:.1f} GiB" if amount >= 1 else f"{max(amount * 1024, 1):.0f} MiB"
+
+
 class _Panel:
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
@@ -84,8 +88,10 @@ class CURECON_PT_photos(_Panel, bpy.types.Panel):
         column.label(text=gps, icon="WORLD")
         if check.gsd_mm:
             column.label(text=f"About {check.gsd_mm:.0f} mm on the ground a pixel", icon="DRIVER_DISTANCE")
-        if check.blurred:
-            column.label(text=f"{check.blurred} blurred", icon="ERROR")
+        if check.blurred_count:
+            column.label(text=f"{check.blurred_count} blurred:", icon="ERROR")
+            paragraph(box, context, check.blurred if len(check.blurred) < 200 else f"{check.blurred[:200]}...")
+            column = box.column(align=True)
         if check.skipped:
             column.label(text=f"{counted(len(check.skipped), 'file')} left out:", icon="ERROR")
             for file in check.skipped[:SHOWN_SKIPPED]:
@@ -103,6 +109,12 @@ class CURECON_PT_reconstruct(_Panel, bpy.types.Panel):
         column = layout.column()
         column.enabled = not status.running
         column.row().prop(properties, "quality", text="")
+        cost = properties.check.costs.get(properties.quality)
+        if cost is not None and properties.check.folder == properties.photos and not status.running:
+            paragraph(
+                layout, context, f"About {duration(cost.seconds)}, {gibibytes(cost.memory_gib)} of memory and "
+                f"{gibibytes(cost.disk_gib)} of disk",
+            )
         if status.running:
             draw_progress(layout, status)
         else:

@@ -2,6 +2,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What holds for every scene on this computer: the device, its memory, the worker's Python, where workspaces go."""
 
+# mypy: disable-error-code="valid-type"
+# Blender reads its properties from annotations that are calls.
+
 from __future__ import annotations
 
 import sys

@@ -2,6 +2,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """`scene.curecon`: what a .blend file remembers of its reconstruction."""
 
+# mypy: disable-error-code="valid-type"
+# Blender reads its properties from annotations that are calls.
+
 from __future__ import annotations
 
 import bpy
@@ -39,6 +42,14 @@ class CURECON_PG_skipped(bpy.types.PropertyGroup):
     reason: StringProperty()
 
 
+class CURECON_PG_cost(bpy.types.PropertyGroup):
+    """What a quality would cost on this computer, roughly. `name` is the quality."""
+
+    seconds: FloatProperty()
+    memory_gib: FloatProperty()
+    disk_gib: FloatProperty()
+
+
 class CURECON_PG_check(bpy.types.PropertyGroup):
     """What the photo check said about the folder `folder`."""
 
@@ -46,9 +57,11 @@ class CURECON_PG_check(bpy.types.PropertyGroup):
     photos: IntProperty()
     cameras: IntProperty()
     gps: IntProperty()
-    blurred: IntProperty()
+    blurred: StringProperty(description="Names of the blurred photos")
+    blurred_count: IntProperty()
     gsd_mm: FloatProperty(description="Ground sampling distance in millimetres, 0 when unknown")
     skipped: CollectionProperty(type=CURECON_PG_skipped)
+    costs: CollectionProperty(type=CURECON_PG_cost)
 
 
 class CURECON_PG_result(bpy.types.PropertyGroup):
@@ -112,7 +125,7 @@ class CURECON_PG_scene(bpy.types.PropertyGroup):
     result: PointerProperty(type=CURECON_PG_result)
 
 
-CLASSES = (CURECON_PG_skipped, CURECON_PG_check, CURECON_PG_result, CURECON_PG_scene)
+CLASSES = (CURECON_PG_skipped, CURECON_PG_cost, CURECON_PG_check, CURECON_PG_result, CURECON_PG_scene)
 
 
 def attach() -> None:

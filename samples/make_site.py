@@ -54,9 +54,10 @@ def render_depths(shots: list[Shot], out: Path) -> None:
     with tempfile.TemporaryDirectory() as scratch:
         for shot in shots:
             aim(scene, shot.cam_from_world)
-            scene.render.filepath = f"{scratch}/depth.exr"
+            scene.render.filepath = f"{scratch}/{shot.name}.exr"
             bpy.ops.render.render(write_still=True)
-            image = bpy.data.images.load(scene.render.filepath)
+        for shot in shots:  # in a second round: loading an image makes Cycles build its scene anew
+            image = bpy.data.images.load(f"{scratch}/{shot.name}.exr")
             pixels = np.empty(WIDTH * HEIGHT * 4, np.float32)
             image.pixels.foreach_get(pixels)
             bpy.data.images.remove(image)

@@ -24,6 +24,7 @@ def place(azimuth: float, radius: float) -> np.ndarray:
 
 
 def smooth(value: np.ndarray, low: float, high: float) -> np.ndarray:
+    """A smooth step from 0 at `low` to 1 at `high`."""
     t = np.clip((value - low) / (high - low), 0, 1)
     return t * t * (3 - 2 * t)
 

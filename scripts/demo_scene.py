@@ -19,9 +19,9 @@ from mathutils import Matrix, Vector
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-import curecon_blender  # noqa: E402
-from curecon_blender.core.errors import CuReconError  # noqa: E402
-from curecon_blender.scene.workspace import Imported, import_workspace  # noqa: E402
+import curecon_blender
+from curecon_blender.core.errors import CuReconError
+from curecon_blender.scene.workspace import Imported, import_workspace
 
 WIDTH, HEIGHT, SAMPLES = 1280, 720, 16
 ELEVATION = 32.0  # degrees above the horizon
@@ -53,6 +53,7 @@ def make(workspace: Path, blend: Path, picture: Path) -> None:
     add_light(scene)
     add_view(scene, imported)
     set_render(scene, picture)
+    bpy.context.preferences.filepaths.save_version = 0  # no .blend1 beside it
     blend.parent.mkdir(parents=True, exist_ok=True)
     bpy.ops.wm.save_as_mainfile(filepath=str(blend))
     bpy.ops.file.make_paths_relative()
@@ -81,10 +82,10 @@ def add_view(scene: bpy.types.Scene, imported: Imported) -> None:
     positions = np.array([camera.matrix_world.translation for camera in imported.cameras])
     if imported.clouds:
         data = imported.clouds[0].data
-        points = np.empty(len(data.points) * 3, np.float32)
-        data.attributes["position"].data.foreach_get("vector", points)
-        points = points.reshape(-1, 3)[:50_000].astype(float)  # stored in random order: a fair sample
-        low, high = np.percentile(points, [2, 98], axis=0)
+        values = np.empty(len(data.points) * 3, np.float32)
+        data.attributes["position"].data.foreach_get("vector", values)
+        points = values.reshape(-1, 3)[:50_000].astype(float)  # stored in random order: a fair sample
+        low, high = np.percentile(points, [0.5, 99.5], axis=0)
         points = points[np.all((points >= low) & (points <= high), axis=1)]
     else:
         points = positions
@@ -101,12 +102,14 @@ def add_view(scene: bpy.types.Scene, imported: Imported) -> None:
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(back, right), back], axis=1)
 
-    # The least distance at which every point falls inside the frame, with a margin.
-    seen = (points - middle) @ rotation
-    slope_x = SENSOR / LENS / 2 * 0.94
+    slope_x = SENSOR / LENS / 2 * 0.96  # of the frame's edge, with a margin
     slope_y = slope_x * HEIGHT / WIDTH
-    distance = float(np.max(seen[:, 2] + np.maximum(np.abs(seen[:, 0]) / slope_x, np.abs(seen[:, 1]) / slope_y)))
-    distance = max(distance, 1e-3)
+    for _ in range(4):  # the least distance that holds every point; then what it shows moves to the frame's middle
+        seen = (points - middle) @ rotation
+        reach = np.maximum(np.abs(seen[:, 0]) / slope_x, np.abs(seen[:, 1]) / slope_y)
+        distance = max(float(np.max(seen[:, 2] + reach)), 1e-3)
+        shown = seen[:, :2] / (distance - seen[:, 2:])
+        middle += rotation[:, :2] @ ((shown.min(axis=0) + shown.max(axis=0)) / 2 * distance)
     camera = bpy.data.objects.new("Presentation", bpy.data.cameras.new("Presentation"))
     camera.data.lens, camera.data.sensor_width = LENS, SENSOR
     camera.data.clip_start, camera.data.clip_end = distance / 1000, distance * 10
@@ -123,7 +126,6 @@ def set_render(scene: bpy.types.Scene, picture: Path) -> None:
     render.pixel_aspect_x = render.pixel_aspect_y = 1.0
     render.filepath, render.image_settings.file_format = str(picture), "PNG"
     scene.cycles.device, scene.cycles.samples, scene.cycles.use_denoising = "CPU", SAMPLES, False
-    scene.cycles.max_bounces = 0  # the cloud emits its colours; nothing bounces
     scene.view_settings.view_transform, scene.view_settings.look = "Standard", "None"
 
 

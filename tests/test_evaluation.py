@@ -4,11 +4,15 @@
 
 from __future__ import annotations
 
+import importlib
+import io
 import json
 import subprocess
 import sys
-from dataclasses import replace
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,15 +33,31 @@ from evaluation.depth_metrics import DepthRange, depth_errors
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def command(module: str, *arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-m", f"evaluation.{module}", *map(str, arguments)], cwd=ROOT,
-                          capture_output=True, text=True, timeout=300)
+@dataclass
+class Done:
+    returncode: int
+    stdout: str
+    stderr: str
 
 
-def answer(module: str, *arguments: object) -> dict:
+def command(module: str, *arguments: object) -> Done:
+    """Run a command in this process: a test below starts each as `python -m` too."""
+    with redirect_stdout(io.StringIO()) as out, redirect_stderr(io.StringIO()) as err:
+        code = importlib.import_module(f"evaluation.{module}").main([str(a) for a in arguments])
+    return Done(code, out.getvalue(), err.getvalue())
+
+
+def answer(module: str, *arguments: object) -> Any:
     done = command(module, *arguments, "--json")
     assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout.splitlines()[-1])
+    return json.loads(done.stdout)
+
+
+@pytest.mark.parametrize("module", ["depth_metrics", "cloud_metrics", "plane_sweep", "site"])
+def test_each_starts_as_a_command_and_explains_itself(module: str) -> None:
+    done = subprocess.run([sys.executable, "-m", f"evaluation.{module}", "--help"], cwd=ROOT, capture_output=True,
+                          text=True, timeout=120, check=True)
+    assert f"python -m evaluation.{module}" in done.stdout and "--json" in done.stdout
 
 
 def write_pfm(path: Path, depth: np.ndarray) -> None:
@@ -86,7 +106,8 @@ def test_depth_command_on_blendedmvs_files(tmp_path: Path) -> None:
         (tmp_path / folder).mkdir()
     truth = np.linspace(1.0, 2.0, 12, dtype=np.float32).reshape(3, 4)
     (tmp_path / "cams" / "00000000_cam.txt").write_text(
-        "extrinsic\n1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n\nintrinsic\n9 0 2\n0 9 1.5\n0 0 1\n\n1.21079 0.00412819 128.0 1.7392 \n"
+        "extrinsic\n1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n\nintrinsic\n9 0 2\n0 9 1.5\n0 0 1\n\n"
+        "1.21079 0.00412819 128.0 1.7392 \n"
     )
     write_pfm(tmp_path / "rendered_depth_maps" / "00000000.pfm", truth)
     predicted = truth.copy()
@@ -243,21 +264,21 @@ def test_cloud_command_explains_bad_input(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, dict]:
-    """A workspace of ten photos on an arc, and what the plane sweep's command made of it."""
+    """A workspace of four photos on an arc, and what the plane sweep's command made of it."""
     workspace = tmp_path_factory.mktemp("sweep") / "site one"
-    write_scene(workspace, [make_view(i, 5, arc=40.0) for i in range(5)])
+    write_scene(workspace, [make_view(i, 4, arc=32.0) for i in range(4)])
     summary = answer("plane_sweep", workspace)
     return workspace, workspace.with_name("site one-plane-sweep"), summary
 
 
 def test_plane_sweep_recovers_the_scene(swept: tuple[Path, Path, dict]) -> None:
     workspace, out, _ = swept
-    view = components.read(workspace)[0].views[2]
+    view = components.read(workspace)[0].views[1]
     truth, _ = cast(view)
     depth_range = DepthRange.of(view.near, view.far)
     errors = depth_errors(depth_metrics.read_depth(out / "depth" / f"{view.name}.npz"), truth, depth_range)
     assert errors.coverage > 95
-    assert errors.e1 < 25 and errors.median < 0.3 * depth_range.interval  # the rest: occlusion, and too few photos
+    assert errors.e1 < 25 and errors.median < 0.5 * depth_range.interval  # the rest: occlusion, and too few photos
     sure = depth_errors(depth_metrics.read_depth(out / "depth" / f"{view.name}.npz", 0.8), truth, depth_range)
     assert sure.e1 < errors.e1 and sure.coverage > 50
 
@@ -268,7 +289,7 @@ def test_plane_sweep_fuses_into_a_workspace_of_its_own(swept: tuple[Path, Path, 
     assert summary["workspace"] == str(out) and summary["points"] == {"cloud.ply": len(cloud)}
     assert len(cloud) > 5000 and np.median(surface_distance(cloud.points)) < 0.02
     assert components.read(out)[0].views[0].name == components.read(workspace)[0].views[0].name
-    assert len(read_centres(out / "sparse" / "0")) == 5
+    assert len(read_centres(out / "sparse" / "0")) == 4
     assert not (workspace / "cloud.ply").exists()  # the network's workspace is left alone
 
 
@@ -278,16 +299,24 @@ def test_plane_sweep_does_not_write_over_the_networks_depth(swept: tuple[Path, P
     assert done.returncode == WorkspaceError.exit_code and "--out" in done.stderr
 
 
+def test_plane_sweep_goes_on_from_the_last_finished_photo(swept: tuple[Path, Path, dict]) -> None:
+    workspace, out, _ = swept
+    done, missing, *_ = sorted((out / "depth").iterdir())
+    before, depth = done.stat().st_mtime_ns, depth_metrics.read_depth(missing)
+    missing.unlink()
+    plane_sweep.run(workspace, out, Reporter())
+    assert done.stat().st_mtime_ns == before
+    np.testing.assert_array_equal(depth_metrics.read_depth(missing), depth)
+
+
 def test_plane_sweep_of_a_level_plane_is_exact_below_an_interval() -> None:
     """Straight down on the ground, beyond the box: depth is one number, between two planes."""
     looking_down = make_view(0, 12, radius=6.0, elevation=89.0)
     views = [replace(looking_down, cam_from_world=np.column_stack([
         looking_down.cam_from_world[:, :3],
         -looking_down.cam_from_world[:, :3] @ (looking_down.centre + [20 + 0.4 * i, 0, 0])])) for i in range(3)]
-    from evaluation.plane_sweep import sweep
-
     greys = [cast(view)[1].mean(axis=-1).astype(np.uint8) for view in views]
-    depth, confidence = sweep(views[1], greys[1], [(views[0], greys[0]), (views[2], greys[2])])
+    depth, confidence = plane_sweep.sweep(views[1], greys[1], [(views[0], greys[0]), (views[2], greys[2])])
     truth, _ = cast(views[1])
     errors = depth_errors(depth, truth, DepthRange.of(views[1].near, views[1].far))
     assert errors.e1 < 2 and errors.median < 0.1 * (views[1].far - views[1].near) / 128
@@ -340,27 +369,8 @@ def test_site_report(tmp_path: Path) -> None:
     both = command("site", workspace, workspace, site_folder, "--depth", depth_folder)
     assert both.returncode == 0, both.stderr
     assert both.stdout.count("8 of 8 photos") == 2 and "F at 0.1" in both.stdout
-    without = answer_list("site", workspace, site_folder)
+    without = answer("site", workspace, site_folder)
     assert without[0]["depth"] is None and without[0]["cloud"]["scores"][1]["threshold"] == 0.2
     next(depth_folder.iterdir()).unlink()
     missing = command("site", workspace, site_folder, "--depth", depth_folder)
     assert missing.returncode == WorkspaceError.exit_code and "make_site.py depth" in missing.stderr
-
-
-def answer_list(module: str, *arguments: object) -> list[dict]:
-    done = command(module, *arguments, "--json")
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
-
-
-def test_plane_sweep_resumes_where_it_was_stopped(tmp_path: Path) -> None:
-    workspace, out = tmp_path / "work", tmp_path / "out"
-    component = write_scene(workspace, [make_view(i, 3, arc=20.0) for i in range(3)])
-    plane_sweep.run(workspace, out, Reporter())
-    kept = out / "depth" / f"{component.views[0].name}.npz"
-    before, first = kept.stat().st_mtime_ns, kept.read_bytes()
-    again = out / "depth" / f"{component.views[1].name}.npz"
-    again.unlink()
-    plane_sweep.run(workspace, out, Reporter())
-    assert kept.stat().st_mtime_ns == before and kept.read_bytes() == first
-    assert again.exists()

@@ -33,7 +33,7 @@ def start_worker(tmp_path: Path) -> StartWorker:
         package.mkdir(parents=True)
         (package.parent / "__init__.py").touch()
         (package / "__init__.py").touch()
-        (package / "worker.py").write_text(PRELUDE + textwrap.dedent(lines), encoding="utf-8")
+        (package / "__main__.py").write_text(PRELUDE + textwrap.dedent(lines), encoding="utf-8")
         return Job(
             ["reconstruct", "photos"], python=sys.executable, import_paths=[package.parent.parent],
             log=tmp_path / "worker.log", grace=grace,

@@ -48,6 +48,6 @@ def total_loss(outputs: list[LevelOutput], t: Tensor, valid: Tensor) -> Tensor:
     loss = t.new_zeros(())
     for level, output in zip((2, 1, 0), outputs, strict=True):
         step = 2**level
-        t_level, valid_level = t[..., step // 2 :: step, step // 2 :: step], valid[..., step // 2 :: step, step // 2 :: step]
-        loss = loss + LEVEL_WEIGHT[level] * unified_focal_loss(output, t_level, valid_level, level)
+        pick = (..., slice(step // 2, None, step), slice(step // 2, None, step))  # a pixel beside the level's centre
+        loss = loss + LEVEL_WEIGHT[level] * unified_focal_loss(output, t[pick], valid[pick], level)
     return loss

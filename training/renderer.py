@@ -224,8 +224,8 @@ class Renderer:
 
     def upload(self, world: World) -> None:
         """Make `world` the one that is drawn, and draw its shadow map."""
-        for mesh in self._temporary:
-            mesh.release()
+        for old in self._temporary:
+            old.release()
         self._temporary = []
         self._draws = []
         while len(self._textures) > TEXTURE_BUDGET:
@@ -260,8 +260,8 @@ class Renderer:
                 )
         used = {i.key for i in world.instances}
         while len(self._meshes) > MESH_BUDGET and next(iter(self._meshes)) not in used:
-            for mesh in self._meshes.popitem(last=False)[1]:
-                mesh.release()
+            for old in self._meshes.popitem(last=False)[1]:
+                old.release()
         self._world = world
         self._far = 2.0 * max(world.terrain.far, 4 * world.terrain.radius)
         self._draw_shadow_map()

@@ -58,6 +58,13 @@ class DeviceError(CuReconError):
     kind = "device"
 
 
+class SetupError(CuReconError):
+    """The Python that should do the work lacks a library."""
+
+    exit_code = 9
+    kind = "setup"
+
+
 class Cancelled(CuReconError):
     """The user cancelled; finished work is kept and the job can go on later."""
 

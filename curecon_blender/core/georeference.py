@@ -18,7 +18,7 @@ from .types import Frame, GeoPosition, Gimbal, Photo
 
 FRAME_FILE = "frame.json"
 SHORTEST_BASELINE = 5.0  # metres; GPS positions closer together than this say nothing of scale
-WORST_AGREEMENT = 0.25  # median residual as a share of the site's extent; above it GPS and model have nothing in common
+WORST_AGREEMENT = 0.4  # median residual over the median distance from the GPS positions' centre; 1 is no agreement
 LINE = 0.05  # spread across a flight as a share of the spread along it; below it the flight counts as a straight line
 TYPICAL_DISTANCE = 10.0  # units from camera to points where the scale is unknown
 
@@ -117,7 +117,7 @@ def gimbal_rotation(gimbal: Gimbal) -> np.ndarray:
 # ---- placement
 
 def place(model: pycolmap.Reconstruction, photos: Mapping[str, Photo]) -> Placement:
-    """Find the site frame of a model whose images are named as `photos`.
+    """Find the site frame of a model with points, whose images are named as `photos`.
 
     By GPS where at least three photos have it, spread over more than a few metres and in agreement with the model;
     else Z up by gravity (gimbal angles, or level cameras) and a scale said to be unknown.
@@ -135,14 +135,14 @@ def place(model: pycolmap.Reconstruction, photos: Mapping[str, Photo]) -> Placem
             model, cameras, gravity, f"All photos have GPS within {extent:.1f} m, too close together to tell the scale"
         )
     fit = align_to_gps(cameras.centres[located], gps, gravity)
-    if fit.median_residual > WORST_AGREEMENT * extent:
+    if fit.median_residual > WORST_AGREEMENT * float(np.median(np.linalg.norm(gps - gps.mean(0), axis=1))):
         return _place_by_gravity(
             model, cameras, gravity,
             f"The photos' GPS does not agree with their camera positions ({fit.median_residual:.1f} m off over "
             f"{extent:.0f} m) and was not used",
         )
     # Move the origin from the cameras to the site's centre, then fit once more: ENU axes turn a little with the place.
-    centre = _apply(fit.enu_from_model, np.median(_points(model), axis=0)[None]) if model.num_points3D() else gps[:1]
+    centre = np.median(_apply(fit.enu_from_model, _points(model)), axis=0, keepdims=True)
     latitude, longitude, altitude = enu_to_geodetic(centre, origin)[0].tolist()
     site = GeoPosition(latitude=latitude, longitude=longitude, altitude=altitude)
     fit = align_to_gps(cameras.centres[located], geodetic_to_enu(enu_to_geodetic(gps, origin), site), gravity)
@@ -208,7 +208,7 @@ def up_from_cameras(cameras: _Cameras) -> Gravity:
         up = vectors[:, 0]
         # Drone and hand-held cameras look ahead or down, hardly ever up.
         up = -up if float(np.sum((down + forward) @ up)) > 0 else up
-        return Gravity(up=up, sigma=max(3.0, float(np.degrees(np.sqrt(values[0] / values[1])))), source="level cameras")
+        return Gravity(up=up, sigma=max(3.0, float(np.degrees(np.sqrt(max(values[0], 0.0) / values[1])))), source="level cameras")
     along_x, along_y = (float(np.ptp(cameras.centres @ _unit(axis))) for axis in (vectors[:, 2], down[0]))
     if np.linalg.norm(forward.mean(0)) > 0.9 and (np.linalg.norm(down.mean(0)) < 0.5 or along_y > 0.5 * along_x):
         return Gravity(up=_unit(-forward.mean(0)), sigma=10.0, source="cameras taken to look straight down")
@@ -218,10 +218,10 @@ def up_from_cameras(cameras: _Cameras) -> Gravity:
 def _place_by_gravity(
     model: pycolmap.Reconstruction, cameras: _Cameras, gravity: Gravity, why: str
 ) -> Placement:
-    centre = np.median(_points(model) if model.num_points3D() else cameras.centres, axis=0)
-    scale = TYPICAL_DISTANCE / max(_median_distance(model), 1e-9) if model.num_points3D() else 1.0
+    scale = TYPICAL_DISTANCE / max(_median_distance(model), 1e-9)
     rotation = _rotation_to_z(gravity.up)
-    transform = pycolmap.Sim3d(scale, pycolmap.Rotation3d(rotation), -scale * rotation @ centre)
+    centre = np.median(scale * _points(model) @ rotation.T, axis=0)
+    transform = pycolmap.Sim3d(scale, pycolmap.Rotation3d(rotation), -centre)
     note = f"{why}: scale and north are unknown (set them with a scale bar); Z up comes from {gravity.source}."
     return Placement(site_from_model=transform, frame=Frame(scale="unknown", up="gravity", note=note))
 

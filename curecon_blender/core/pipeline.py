@@ -16,7 +16,7 @@ from typing import Any
 import psutil
 
 from . import components as components_file
-from .errors import CuReconError, SparseError, WorkspaceError
+from .errors import SparseError, WorkspaceError
 from .files import write_json
 from .messages import Reporter
 from .options import PRESETS, STAGES, Options
@@ -175,7 +175,7 @@ class _Job:
         key = self._key(stage, inputs)
         if not self.workspace.is_done(stage, key):
             self.workspace.reopen(stage)
-            with _PeakMemory() as peak:
+            with PeakMemory() as peak:
                 started = time.monotonic()
                 run()
             record = StageRecord(key=key, seconds=time.monotonic() - started, peak_gib=peak.bytes / 2**30)
@@ -189,10 +189,10 @@ class _Job:
                    * BYTES_PER_DEPTH_PIXEL)
 
 
-class _PeakMemory:
+class PeakMemory:
     """The process's largest resident memory while the block runs, sampled ten times a second."""
 
-    def __enter__(self) -> _PeakMemory:
+    def __enter__(self) -> PeakMemory:
         self._process = psutil.Process()
         self.bytes = self._process.memory_info().rss
         self._stop = threading.Event()
@@ -288,5 +288,3 @@ def _photo_set_from_json(file: Path) -> PhotoSet:
             remedy=f"Delete the folder {file.parent / 'stages'} and run it again.",
         ) from error
 
-
-__all__ = ["CuReconError", "check", "reconstruct"]

@@ -9,6 +9,7 @@ may write `cancel` to standard input; when standard input closes, the parent is 
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
 import os
 import signal
@@ -21,7 +22,7 @@ from pathlib import Path
 from typing import TextIO
 
 from . import messages
-from .errors import CuReconError
+from .errors import CuReconError, SetupError
 from .messages import Message, Reporter
 from .options import QUALITIES, STAGES, Options
 
@@ -30,8 +31,10 @@ EXIT_CODES = """exit codes:
   1  a fault in CU-Recon      6  weights missing or corrupted
   2  wrong arguments          7  device not there, or memory budget too small
   3  photos unusable          8  no point that enough views agree on
-  4  cameras not found      130  cancelled
+  4  cameras not found        9  a library is missing from this Python
+                            130  cancelled
 """
+LIBRARIES = ("numpy", "PIL", "psutil", "cv2", "safetensors", "torch", "pycolmap")
 PLAIN_LINE_EVERY = 10.0  # seconds between progress lines in a pipe
 ORPHAN_GRACE = 20.0  # seconds a worker may take to stop by itself once its parent is gone
 
@@ -46,10 +49,12 @@ def main(arguments: list[str] | None = None) -> int:
         sink: Callable[[Message], None] = _MessageSink(out)
     else:
         sink = _Terminal(sys.stderr)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: cancel.set())
     reporter = Reporter(sink, cancel.is_set)
     try:
+        _require_libraries()
+        # After the libraries: pycolmap's logging installs handlers of its own when it is imported.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: cancel.set())
         summary = _run(options, reporter)
     except CuReconError as error:
         sink(messages.failure(error))
@@ -77,6 +82,18 @@ def _run(options: argparse.Namespace, reporter: Reporter) -> dict[str, object]:
         return pipeline.check(options.photos, reporter)
     fields = {name: getattr(options, name) for name in Options.__dataclass_fields__ if hasattr(options, name)}
     return pipeline.reconstruct(Options(**fields), reporter)
+
+
+def _require_libraries() -> None:
+    for name in LIBRARIES:
+        try:
+            importlib.import_module(name)
+        except ImportError as error:
+            raise SetupError(
+                f"The Python at {sys.executable} cannot load {name}: {error}",
+                remedy="Install CU-Recon's libraries into it (requirements.txt), or choose another Worker Python in "
+                "the add-on's preferences.", path=sys.executable,
+            ) from error
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -27,13 +27,19 @@ class CURECON_OT_check_photos(WorkerOperator, bpy.types.Operator):
     def done(self, context: bpy.types.Context, scene: bpy.types.Scene, summary: dict[str, Any]) -> str:
         check = scene.curecon.check
         check.folder = scene.curecon.photos
-        check.photos, check.cameras = summary["photos"], summary["cameras"]
-        check.gps, check.blurred = summary["gps"], summary["blurred"]
-        check.gsd_mm = summary["gsd_mm"] or 0.0
+        check.photos, check.cameras, check.gps = summary["photos"], summary["cameras"], summary["with_gps"]
+        check.blurred = ", ".join(summary["blurred"])
+        check.blurred_count = len(summary["blurred"])
+        check.gsd_mm = summary["ground_sampling_distance_mm"] or 0.0
         check.skipped.clear()
         for file in summary["skipped"]:
             entry = check.skipped.add()
             entry.name, entry.reason = Path(file["path"]).name, file["reason"]
+        check.costs.clear()
+        for quality, cost in summary["presets"].items():
+            entry = check.costs.add()
+            entry.name, entry.seconds = quality, cost["seconds"]
+            entry.memory_gib, entry.disk_gib = cost["memory_gib"], cost["disk_gib"]
         return f"{check.photos} photos can be used, {len(check.skipped)} files cannot."
 
 

@@ -2,6 +2,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Bringing a workspace into the scene, and looking at what came."""
 
+# mypy: disable-error-code="valid-type"
+# Blender reads its properties from annotations that are calls.
+
 from __future__ import annotations
 
 from pathlib import Path

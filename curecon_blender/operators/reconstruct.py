@@ -2,6 +2,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The main job: photos to a coloured point cloud in the scene; and a COLMAP model in place of our own cameras."""
 
+# mypy: disable-error-code="valid-type"
+# Blender reads its properties from annotations that are calls.
+
 from __future__ import annotations
 
 from pathlib import Path

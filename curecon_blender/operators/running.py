@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -84,7 +85,8 @@ def line() -> str:
     left = status.seconds_left
     time_left = f", {duration(left)} left" if left is not None else ""
     name = STAGE_NAMES.get(stage.stage, stage.stage)
-    return f"CU-Recon: {name} {stage.done}/{stage.total} ({status.overall:.0%}{time_left})    Esc: cancel"
+    count = f" {stage.done}/{stage.total}" if stage.total else ""
+    return f"CU-Recon: {name}{count} ({status.overall:.0%}{time_left})    Esc: cancel"
 
 
 def explain(error: CuReconError | Failure) -> str:
@@ -98,6 +100,7 @@ class WorkerOperator:
     """
 
     task = ""
+    report: Callable[[set[str], str], None]  # Blender's, of the operator that this is mixed into
     _timer: bpy.types.Timer | None = None
 
     def workspace(self, context: bpy.types.Context) -> Path | None:

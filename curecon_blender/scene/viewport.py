@@ -3,8 +3,9 @@
 """Draws the clouds in colour in Solid and Wireframe shading, where Blender would draw them grey or not at all.
 
 Each cloud is uploaded once, when it is first drawn; since points.py stores it in random order, drawing a prefix shows a
-fair sample of it: as much as the user set and, while the view moves, no more than keeps it fluent. The buffers are made from the PointCloud's own attributes, so they come back by themselves after a
-file is loaded, an undo or a reload of the add-on.
+fair sample of it: as much as the user set and, while the view moves, no more than keeps it fluent. The buffers are made
+from the PointCloud's own attributes, so they come back by themselves after a file is loaded, an undo or a reload of the
+add-on.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ void main()
 {
   gl_Position = clip_from_object * vec4(position, 1.0);
   // The point's size in pixels at its depth, so that a near cloud closes to a surface.
-  gl_PointSize = clamp(size.x / gl_Position.w, size.y, size.z);
+  gl_PointSize = clamp(radius * size.x / gl_Position.w, size.y, size.z);
   // sRGB to the viewport's linear colours.
   vec3 low = colour.rgb / 12.92;
   vec3 high = pow((colour.rgb + 0.055) / 1.055, vec3(2.4));
@@ -144,8 +145,9 @@ def _draw() -> None:
     gpu.state.program_point_size_set(True)
     shader.bind()
     for item in clouds:
-        # Pixels across a world length of 1 at clip w = 1; 2.2 closes the gaps between square points of one spacing.
-        pixels = view.window_matrix[1][1] * region.height * item.data[CLOUD_KEY] * 2.2 * settings.point_size
+        # Pixels that a radius of 1 takes at clip w = 1; a square of 0.85 of a disc's width has about its area.
+        scale = item.matrix_world.median_scale * settings.point_size
+        pixels = view.window_matrix[1][1] * region.height * 0.85 * scale
         smallest = MIN_POINT_PIXELS * settings.point_size
         shader.uniform_float("clip_from_object", view.perspective_matrix @ item.matrix_world)
         shader.uniform_float("size", (pixels, max(1.0, smallest), MAX_POINT_PIXELS))
@@ -162,9 +164,10 @@ def _get_shader() -> gpu.types.GPUShader:
     if _shader is None:
         info = gpu.types.GPUShaderCreateInfo()
         info.push_constant("MAT4", "clip_from_object")
-        info.push_constant("VEC3", "size")  # size in pixels at w = 1, smallest, largest
+        info.push_constant("VEC3", "size")  # pixels of radius 1 at w = 1; smallest, largest
         info.vertex_in(0, "VEC3", "position")
         info.vertex_in(1, "VEC4", "colour")
+        info.vertex_in(2, "FLOAT", "radius")
         between = gpu.types.GPUStageInterfaceInfo("curecon_points")
         between.flat("VEC4", "shown")
         info.vertex_out(between)
@@ -183,12 +186,16 @@ def _get_batch(data: bpy.types.PointCloud) -> gpu.types.GPUBatch:
         colours = np.empty((count, 4), np.float32)
         data.attributes["position"].data.foreach_get("vector", positions.ravel())
         data.attributes[COLOUR].data.foreach_get("color_srgb", colours.ravel())
+        radii = np.empty((count, 1), np.float32)
+        data.attributes["radius"].data.foreach_get("value", radii.ravel())
         np.multiply(colours, 255, out=colours)
         layout = gpu.types.GPUVertFormat()
         layout.attr_add(id="position", comp_type="F32", len=3, fetch_mode="FLOAT")
         layout.attr_add(id="colour", comp_type="U8", len=4, fetch_mode="INT_TO_FLOAT_UNIT")
+        layout.attr_add(id="radius", comp_type="F32", len=1, fetch_mode="FLOAT")
         vertices = gpu.types.GPUVertBuf(layout, count)
         vertices.attr_fill("position", positions)
         vertices.attr_fill("colour", np.rint(colours, out=colours).astype(np.uint8))
+        vertices.attr_fill("radius", radii)
         _batches[key] = gpu.types.GPUBatch(type="POINTS", buf=vertices)
     return _batches[key]

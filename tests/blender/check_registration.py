@@ -6,13 +6,14 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+from typing import Any
 
 import bpy
 
 import curecon_blender
 
 
-def our_classes() -> list[type]:
+def our_classes() -> list[Any]:
     """Every Blender class that the package defines, found by looking rather than in its CLASSES."""
     found = []
     for module in pkgutil.walk_packages(curecon_blender.__path__, "curecon_blender."):

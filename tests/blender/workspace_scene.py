@@ -23,8 +23,8 @@ def cloud() -> Cloud:
     unit = np.random.default_rng(5).random((POINTS, 3), dtype=np.float32)
     colours = np.column_stack([unit[:, 0] * 255, unit[:, 1] * 255, np.full(POINTS, 128)]).astype(np.uint8)
     return Cloud(
-        points=unit * np.float32([10, 10, 1]), colours=colours,
-        normals=np.tile(np.float32([0, 0, 1]), (POINTS, 1)), confidence=unit[:, 2].copy(),
+        points=unit * np.array([10, 10, 1], np.float32), colours=colours,
+        normals=np.tile(np.array([0, 0, 1], np.float32), (POINTS, 1)), confidence=unit[:, 2].copy(),
         views=(3 + np.arange(POINTS) % 4).astype(np.uint8),
     )
 

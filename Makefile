@@ -1,0 +1,40 @@
+# make demo                 reconstruct the sample site: demo/tulou/*.blend and *.png
+# make demo PHOTOS=folder   the same for your own photos
+# make test                 lint, types and tests (with Blender 4.5, and 5.2 where Python 3.13 is there)
+# make zip                  the Blender extension in dist/
+
+PYTHON ?= python3
+PHOTOS ?= samples/tulou/photos
+QUALITY ?= standard
+NAME = $(if $(filter samples/tulou/photos,$(PHOTOS)),tulou,$(shell basename "$(abspath $(PHOTOS))"))
+OUT ?= demo/$(NAME)
+PYTHON313 ?= $(shell command -v python3.13 || ls -d $$HOME/.pyenv/versions/3.13*/bin/python 2>/dev/null | tail -n 1)
+VENV = .venv/bin/python
+export PYTHONPATH := $(CURDIR)
+
+.PHONY: demo test zip environment
+
+environment: .venv/.ready
+
+.venv/.ready: requirements.txt requirements-dev.txt
+	$(PYTHON) -c "import sys; sys.exit(sys.version_info[:2] != (3, 11) and 'Python 3.11 is needed: make PYTHON=python3.11')"
+	$(PYTHON) -m venv .venv
+	$(VENV) -m pip install --quiet --disable-pip-version-check -r requirements-dev.txt
+	touch $@
+
+.venv-blender52/.ready: requirements-blender52.txt
+	"$(PYTHON313)" -m venv .venv-blender52
+	.venv-blender52/bin/python -m pip install --quiet --disable-pip-version-check -r requirements-blender52.txt
+	touch $@
+
+demo: .venv/.ready
+	$(VENV) -m curecon_blender.core reconstruct "$(PHOTOS)" --workspace "$(OUT)/workspace" --quality $(QUALITY)
+	$(VENV) scripts/demo_scene.py "$(OUT)/workspace" "$(OUT)/$(NAME).blend" "$(OUT)/$(NAME).png"
+
+test: .venv/.ready $(if $(PYTHON313),.venv-blender52/.ready)
+	$(VENV) -m ruff check .
+	$(VENV) -m mypy curecon_blender/core curecon_blender/job.py training evaluation
+	$(VENV) -m pytest
+
+zip: .venv/.ready
+	$(VENV) scripts/build_extension.py

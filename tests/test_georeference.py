@@ -1,0 +1,173 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Placing models in the site frame: metres, Z up and north from GPS; gravity, openly, without it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+
+from curecon_blender.core import georeference
+from curecon_blender.core.errors import WorkspaceError
+from curecon_blender.core.types import Frame, GeoPosition, Gimbal, Photo
+
+SITE = GeoPosition(latitude=24.6612, longitude=117.0523, altitude=423.0)  # the Tulou of Fujian
+UNKNOWN = pycolmap.Sim3d(0.07, pycolmap.Rotation3d(np.array([0.3, -0.5, 0.2, 0.8])), np.array([3.0, -2.0, 5.0]))
+
+
+def looking_at(centre: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """cam_from_world rotation (3,3) of a level camera at `centre`."""
+    forward = (target - centre) / np.linalg.norm(target - centre)
+    side = np.cross(forward, [0, 0, 1] if abs(forward[2]) < 0.99 else [0, 1, 0])
+    right = side / np.linalg.norm(side)
+    return np.stack([right, np.cross(forward, right), forward])
+
+
+def orbit(count: int = 12, radius: float = 40.0, height: float = 30.0) -> tuple[np.ndarray, list[np.ndarray]]:
+    angles = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    centres = np.stack([radius * np.cos(angles), radius * np.sin(angles), np.full(count, height)], axis=1)
+    return centres, [looking_at(centre, np.zeros(3)) for centre in centres]
+
+
+def make_model(centres: np.ndarray, rotations: list[np.ndarray]) -> pycolmap.Reconstruction:
+    """The cameras over a patch of ground points around the origin, in a frame of unknown scale and tilt, as SfM's."""
+    model = pycolmap.Reconstruction()
+    camera = pycolmap.Camera.create_from_model_name(1, "PINHOLE", 900, 1200, 900)
+    model.add_camera_with_trivial_rig(camera)
+    for i, (centre, rotation) in enumerate(zip(centres, rotations, strict=True), start=1):
+        image = pycolmap.Image(name=f"{i:02d}.jpg", keypoints=np.zeros((100, 2)), camera_id=1, image_id=i)
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(rotation), -rotation @ centre)
+        model.add_image_with_trivial_frame(image, pose)
+    for i, xyz in enumerate(np.random.default_rng(0).uniform((-20, -20, -2), (20, 20, 2), (100, 3))):
+        track = pycolmap.Track()
+        for image_id in (1, 2):
+            track.add_element(image_id, i)
+        model.add_point3D(xyz, track)
+    model.transform(UNKNOWN)
+    return model
+
+
+def make_photos(centres: np.ndarray, *, gps: bool = True, noise: float = 0.5) -> dict[str, Photo]:
+    jitter = np.random.default_rng(1).normal(0, noise, centres.shape)
+    positions = georeference.enu_to_geodetic(centres + jitter, SITE)
+    names = [f"{i:02d}.jpg" for i in range(1, len(centres) + 1)]
+    return {
+        name: Photo(
+            name=name, path=Path(name), width=1200, height=900, camera="c", focal_px=900,
+            gps=GeoPosition(latitude=p[0], longitude=p[1], altitude=p[2]) if gps else None,
+        )
+        for name, p in zip(names, positions.tolist(), strict=True)
+    }
+
+
+def placed_centres(model: pycolmap.Reconstruction, placement: georeference.Placement) -> np.ndarray:
+    model.transform(placement.site_from_model)
+    return np.array([model.image(i).projection_center() for i in sorted(model.reg_image_ids())])
+
+
+def tilt(model: pycolmap.Reconstruction, rotations: list[np.ndarray]) -> float:
+    """Degrees between the placed model's Z and the true one, as the first camera sees both."""
+    seen = model.image(1).cam_from_world().rotation.matrix()[:, 2]
+    return float(np.degrees(np.arccos(np.clip(seen @ rotations[0][:, 2], -1, 1))))
+
+
+def test_geodesy_agrees_with_an_independent_implementation_and_inverts() -> None:
+    places = np.array([[24.67, 117.06, 500.0], [24.6612, 117.0523, 423.0], [-33.9, 18.4, 20.0], [89.999, 10.0, 5.0]])
+    enu = georeference.geodetic_to_enu(places, SITE)
+    theirs = pycolmap.GPSTransform(pycolmap.GPSTransformEllipsoid.WGS84).ellipsoid_to_enu(
+        places, SITE.latitude, SITE.longitude, SITE.altitude
+    )
+    assert enu[1] == pytest.approx(np.zeros(3), abs=1e-6)
+    assert enu[:2] == pytest.approx(theirs[:2], abs=1e-4)
+    back = georeference.enu_to_geodetic(enu, SITE)
+    assert back[:, :2] == pytest.approx(places[:, :2], abs=1e-9)
+    assert back[:, 2] == pytest.approx(places[:, 2], abs=1e-4)
+
+
+def test_gps_gives_metres_up_and_north_in_spite_of_an_outlier() -> None:
+    centres, rotations = orbit()
+    photos = make_photos(centres, noise=0.5)
+    stray = photos["03.jpg"].gps
+    assert stray is not None
+    photos["03.jpg"] = replace(photos["03.jpg"], gps=replace(stray, latitude=stray.latitude + 0.002))
+    model = make_model(centres, rotations)
+    placement = georeference.place(model, photos)
+    frame = placement.frame
+    assert (frame.scale, frame.up, frame.north) == ("metres", "gps", True)
+    assert frame.gps_residual is not None and frame.gps_residual < 1.5
+    assert placement.gps_residuals["03.jpg"] == pytest.approx(222, abs=5)
+    assert frame.origin is not None
+    origin = georeference.geodetic_to_enu(
+        np.array([[frame.origin.latitude, frame.origin.longitude, frame.origin.altitude]]), SITE
+    )
+    assert placed_centres(model, placement) + origin == pytest.approx(centres, abs=1.0)
+    assert np.linalg.norm(np.median([p.xyz for p in model.points3D.values()], axis=0)) < 1.0  # origin amid the site
+    assert tilt(model, rotations) < 1.0
+
+
+def test_a_straight_flight_takes_its_tilt_from_the_gimbal() -> None:
+    centres = np.stack([np.linspace(-60, 60, 9), np.full(9, -30.0), np.full(9, 25.0)], axis=1)
+    gimbal = Gimbal(yaw=0.0, pitch=-40.0, roll=0.0)
+    rotations = [georeference.gimbal_rotation(gimbal).T] * 9
+    photos = {name: replace(photo, gimbal=gimbal) for name, photo in make_photos(centres, noise=0.3).items()}
+    model = make_model(centres, rotations)
+    placement = georeference.place(model, photos)
+    assert (placement.frame.scale, placement.frame.up) == ("metres", "gravity")
+    assert "straight line" in placement.frame.note and "gimbal" in placement.frame.note
+    assert np.linalg.norm(np.diff(placed_centres(model, placement)[[0, -1]], axis=0)) == pytest.approx(120, abs=2)
+    assert tilt(model, rotations) < 1.5
+
+
+@pytest.mark.parametrize(("with_gps", "spacing", "reason"), [
+    (0, 1.0, "No GPS"), (2, 1.0, "Only 2"), (12, 0.02, "too close together"),
+])
+def test_without_usable_gps_the_scale_is_said_to_be_unknown_and_z_is_up(
+    with_gps: int, spacing: float, reason: str
+) -> None:
+    centres, rotations = orbit()
+    photos = make_photos(centres * spacing, noise=0.01)
+    for name in list(photos)[with_gps:]:
+        photos[name] = replace(photos[name], gps=None)
+    model = make_model(centres, rotations)
+    placement = georeference.place(model, photos)
+    assert (placement.frame.scale, placement.frame.up, placement.frame.north) == ("unknown", "gravity", False)
+    assert reason in placement.frame.note and "unknown" in placement.frame.note
+    model.transform(placement.site_from_model)
+    assert tilt(model, rotations) < 2.0
+
+
+def test_gps_of_another_place_is_not_used() -> None:
+    centres, rotations = orbit()
+    shuffled = np.random.default_rng(5).permutation(centres)
+    placement = georeference.place(make_model(centres, rotations), make_photos(shuffled))
+    assert placement.frame.scale == "unknown"
+    assert "does not agree" in placement.frame.note
+
+
+@pytest.mark.parametrize("kind", ["façade", "nadir grid"])
+def test_up_without_gps_where_all_cameras_look_one_way(kind: str) -> None:
+    along = np.linspace(-10, 10, 5)
+    if kind == "façade":
+        centres = np.array([[x, -20.0, 1.7] for x in along])
+        rotations = [looking_at(np.array([0, -20.0, 1.7]), np.array([0, 0, 2.0]))] * 5
+    else:
+        centres = np.array([[x, y, 30.0] for x in along for y in along])
+        rotations = [np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])] * 25
+    model = make_model(centres, rotations)
+    placement = georeference.place(model, make_photos(centres, gps=False))
+    model.transform(placement.site_from_model)
+    assert tilt(model, rotations) < 3.0
+
+
+def test_frame_record_survives_and_a_damaged_one_is_told(tmp_path: Path) -> None:
+    frame = Frame(scale="metres", up="gps", north=True, origin=SITE, gps_residual=0.5, note="土楼")
+    georeference.write_frame(tmp_path, frame)
+    assert georeference.read_frame(tmp_path) == frame
+    (tmp_path / georeference.FRAME_FILE).write_text("{", encoding="utf-8")
+    with pytest.raises(WorkspaceError, match=r"frame\.json") as caught:
+        georeference.read_frame(tmp_path)
+    assert caught.value.remedy
