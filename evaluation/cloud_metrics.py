@@ -21,6 +21,7 @@ import argparse
 import json
 import sys
 import zipfile
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -145,6 +146,19 @@ def _read_transform(path: Path) -> np.ndarray:
                              remedy="It needs four lines of four numbers.") from error
 
 
+def _crop(args: argparse.Namespace) -> Callable[[np.ndarray], np.ndarray]:
+    """What tells the points (n,3) inside the crop that was asked for, as (n,) bool."""
+    if args.crop:
+        volume = read_crop(args.crop)
+        return lambda points: in_prism(points, *volume)
+    if args.box:
+        return lambda points: in_box(points, np.array(args.box[:3]), np.array(args.box[3:]))
+    if args.radius:
+        x, y, radius = args.radius
+        return lambda points: np.hypot(points[:, 0] - x, points[:, 1] - y) < radius
+    return lambda points: np.ones(len(points), bool)
+
+
 def table(rows: dict[str, CloudErrors]) -> str:
     """Distances and scores of one or more clouds against the same truth, one a row."""
     thresholds = [score.threshold for score in next(iter(rows.values())).scores]
@@ -181,18 +195,11 @@ def main(arguments: list[str] | None = None) -> int:
         if args.transform:
             matrix = _read_transform(args.transform)
             points = points @ matrix[:3, :3].T + matrix[:3, 3]
-        clouds = [points, truth]
-        if args.crop:
-            volume = read_crop(args.crop)
-            clouds = [cloud[in_prism(cloud, *volume)] for cloud in clouds]
-        elif args.box:
-            clouds = [cloud[in_box(cloud, np.array(args.box[:3]), np.array(args.box[3:]))] for cloud in clouds]
-        elif args.radius:
-            x, y, radius = args.radius
-            clouds = [cloud[np.hypot(cloud[:, 0] - x, cloud[:, 1] - y) < radius] for cloud in clouds]
+        inside = _crop(args)
+        points, truth = points[inside(points)], truth[inside(truth)]
         if args.voxel:
-            clouds = [thin(cloud, args.voxel) for cloud in clouds]
-        errors = cloud_errors(*clouds, args.thresholds, args.max_distance)
+            points, truth = thin(points, args.voxel), thin(truth, args.voxel)
+        errors = cloud_errors(points, truth, args.thresholds, args.max_distance)
     except CuReconError as error:
         print(f"{error.message}\n{error.remedy}", file=sys.stderr)
         return error.exit_code

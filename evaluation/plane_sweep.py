@@ -79,7 +79,7 @@ class _Window:
 
 
 def _box(picture: np.ndarray) -> np.ndarray:
-    return cv2.boxFilter(picture, cv2.CV_32F, (WINDOW, WINDOW))
+    return np.asarray(cv2.boxFilter(picture, cv2.CV_32F, (WINDOW, WINDOW)))
 
 
 def _ncc(reference: _Window, warped: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
@@ -104,7 +104,8 @@ def _warp(view: View, other: View, grey: np.ndarray, inverse_depth: float) -> tu
     homography = np.linalg.inv(corner) @ other.K @ plane @ np.linalg.inv(view.K) @ corner
     size = (view.width, view.height)
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    warped = cv2.warpPerspective(grey, homography, size, flags=flags, borderMode=cv2.BORDER_CONSTANT, borderValue=-1e6)
+    warped = np.asarray(cv2.warpPerspective(grey, homography, size, flags=flags, borderMode=cv2.BORDER_CONSTANT,
+                                            borderValue=(-1e6,)))
     hidden = warped < 0
     warped[hidden] = 0
     if homography[2] @ (view.width / 2, view.height / 2, 1) < 0:  # the plane lies behind the source

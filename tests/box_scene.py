@@ -59,7 +59,8 @@ def texture(points: np.ndarray) -> np.ndarray:
                       [[2.3, 3.9, 1.1], [9.7, 6.1, 5.9], [15.1, 12.3, 18.7]],
                       [[1.3, 2.9, 3.7], [5.1, 8.3, 7.7], [12.9, 16.3, 14.1]]])
     value = np.sin(points @ np.moveaxis(waves, -1, 0).reshape(3, -1) + np.arange(9)).reshape(*points.shape[:-1], 3, 3)
-    return np.uint8(np.clip(127.5 + 42 * value.sum(axis=-1), 0, 255))
+    colours: np.ndarray = np.clip(127.5 + 42 * value.sum(axis=-1), 0, 255).astype(np.uint8)
+    return colours
 
 
 def surface_distance(points: np.ndarray) -> np.ndarray:

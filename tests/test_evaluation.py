@@ -14,7 +14,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
+import pycolmap
 import pytest
 from box_scene import cast, make_view, surface_distance, write_depth, write_model, write_scene
 from scipy.spatial.transform import Rotation
@@ -253,11 +255,35 @@ def own_pose(view: View, rotation: np.ndarray) -> np.ndarray:
 def test_cloud_command_explains_bad_input(tmp_path: Path) -> None:
     write_ply(tmp_path / "a.ply", plate())
     (tmp_path / "text.ply").write_text("hello")
-    for arguments in (("none.ply", "a.ply"), ("text.ply", "a.ply"), ("a.ply", "a.ply", "--radius", 90, 90, 1),
-                      ("a.ply", "a.ply", "--cameras", tmp_path, tmp_path), ("a.ply", "a.ply", "--crop", "text.ply")):
-        paths = [tmp_path / a if str(a).endswith(".ply") else a for a in arguments]
-        done = command("cloud_metrics", *paths, "--thresholds", 1)
+    cases = (("none.ply", "a.ply"), ("text.ply", "a.ply"), ("a.ply", "a.ply", "--radius", "90", "90", "1"),
+             ("a.ply", "a.ply", "--cameras", ".", "."), ("a.ply", "a.ply", "--crop", "text.ply"))
+    for cloud, truth, *extra in cases:
+        extra = [str(tmp_path / word) if word in (".", "text.ply") else word for word in extra]
+        done = command("cloud_metrics", tmp_path / cloud, tmp_path / truth, "--thresholds", 1, *extra)
         assert done.returncode in (4, 5) and done.stderr.count("\n") == 2 and "Traceback" not in done.stderr
+
+
+def test_cameras_of_blendedmvs_become_a_colmap_model(tmp_path: Path) -> None:
+    views = [make_view(i, 4) for i in range(3)]
+    (tmp_path / "cams").mkdir()
+    (tmp_path / "photos").mkdir()
+    for i, view in enumerate(views):
+        rows = [*view.cam_from_world, [0, 0, 0, 1]]
+        numbers = ["\n".join(" ".join(map(str, row)) for row in matrix) for matrix in (rows, view.K)]
+        (tmp_path / "cams" / f"{i:08d}_cam.txt").write_text(
+            f"extrinsic\n{numbers[0]}\n\nintrinsic\n{numbers[1]}\n\n1.0 0.01 128 2.28\n"
+        )
+        cv2.imwrite(str(tmp_path / "photos" / f"{i:08d}.jpg"), np.zeros((view.height, view.width, 3), np.uint8))
+        cv2.imwrite(str(tmp_path / "photos" / f"{i:08d}_masked.jpg"), np.zeros((view.height, view.width, 3), np.uint8))
+    done = command("mvsnet_cameras", tmp_path / "cams", tmp_path / "photos", tmp_path / "model")
+    assert done.returncode == 0 and "3 cameras" in done.stdout
+    model = pycolmap.Reconstruction(tmp_path / "model")
+    for image in model.images.values():
+        view = views[int(image.name[:8])]
+        np.testing.assert_allclose(image.cam_from_world().matrix(), view.cam_from_world, atol=1e-9)
+        np.testing.assert_allclose(image.camera.calibration_matrix(), view.K)
+    swapped = command("mvsnet_cameras", tmp_path / "photos", tmp_path / "cams", tmp_path / "model")
+    assert swapped.returncode == WorkspaceError.exit_code and "cam.txt" in swapped.stderr
 
 
 # ---- plane sweep

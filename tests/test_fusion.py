@@ -97,7 +97,7 @@ def test_a_point_says_how_many_views_confirm_it_and_how_surely(scene: tuple[Comp
 
 @pytest.mark.parametrize("known", [2, 4, 15])
 def test_no_double_points(tmp_path: Path, known: int) -> None:
-    """As dense as one view sees it, not times sixteen, even where views of opposite sides know nothing of each other."""
+    """As dense as one view sees it, not times sixteen, even where views of opposite sides do not know each other."""
     views = [replace(view, overlaps=view.overlaps[:known]) for view in ring(16)]
     points = run(write_scene(tmp_path, views), tmp_path).points
     roof = points[on_roof(points)]

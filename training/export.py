@@ -1,31 +1,97 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Turn a training run's averaged weights into the file that ships.
+"""Turn a training run's averaged weights into the file that ships, with its confidence calibrated.
 
-    python -m training.export --run DIR [--out curecon_blender/weights/lcm_mvsnet.safetensors]
+    python -m training.export --run DIR --scenes DIR [--out curecon_blender/weights/lcm_mvsnet.safetensors]
+
+The scenes (`python -m training.generator --held-out`) must be none that training saw: on them a logistic regression
+learns how the levels' shares tell whether a depth is within one interval. It prints the errors there, too.
 """
 
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import torch
+import torch.nn.functional as F
+from torch import Tensor
 
+from curecon_blender.core.network import LEVELS, LCMMVSNet, t_from_depth
 from curecon_blender.core.weights import SHIPPED, save_network
-from training.train import start
+from training.dataset import training_sample
+from training.generator import load
+from training.train import batch_tensors, start
+
+SIZE = (384, 288)  # of the calibration's crops
+INTERVALS = 128  # of the sweep, as BlendedMVS counts its errors
+PIXELS = 4000  # a sample
+
+
+@torch.no_grad()
+def observe(network: LCMMVSNet, scenes: list[Path], samples: int, sources: int) -> tuple[Tensor, Tensor]:
+    """Logit shares (P,3) by level 0, 1, 2, and the error in intervals (P,), of random pixels of the scenes."""
+    rng = np.random.default_rng(0)
+    features, errors = [], []
+    while len(features) < samples:
+        sample = training_sample(load(scenes[int(rng.integers(len(scenes)))]), rng, sources, SIZE)
+        if sample is None:
+            continue
+        batch = batch_tensors([sample], torch.device("cpu"))
+        with torch.autocast("cpu", torch.bfloat16):
+            outputs = network(*(batch[k] for k in ("images", "K", "cam_from_world", "near", "far", "scores")))
+        t = t_from_depth(batch["depth"].clamp_min(1e-3), batch["near"], batch["far"])
+        valid = torch.nonzero(((batch["depth"] > 0) & (t >= 0) & (t < 1)).flatten())[:, 0]
+        chosen = valid[torch.from_numpy(rng.integers(len(valid), size=PIXELS))]
+        by_level = dict(zip(LEVELS, outputs, strict=True))
+        shares = [F.interpolate(by_level[level].share, SIZE[::-1], mode="bilinear") for level in range(3)]
+        features.append(torch.stack([torch.logit(s, eps=1e-4).flatten()[chosen] for s in shares], 1))
+        errors.append(((outputs[-1].t - t).abs() * INTERVALS).flatten()[chosen])
+    return torch.cat(features), torch.cat(errors)
+
+
+def fit(features: Tensor, correct: Tensor) -> tuple[float, float, float, float]:
+    """Weights of a logistic regression of (P,3) on (P,), its constant last."""
+    parameters = torch.tensor([1.0, 1.0, 1.0, 0.0], requires_grad=True)
+    optimiser = torch.optim.LBFGS([parameters], max_iter=100, line_search_fn="strong_wolfe")
+
+    def loss() -> Tensor:
+        optimiser.zero_grad()
+        value = F.binary_cross_entropy_with_logits(features @ parameters[:3] + parameters[3], correct)
+        value.backward()  # type: ignore[no-untyped-call]
+        return value
+
+    optimiser.step(loss)
+    a, b, c, d = (round(p, 4) for p in parameters.tolist())
+    return a, b, c, d
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Export a run's EMA weights as safetensors with their record.")
     parser.add_argument("--run", type=Path, required=True)
+    parser.add_argument("--scenes", type=Path, required=True, help="held-out scenes for the calibration")
+    parser.add_argument("--samples", type=int, default=40, help="crops of the scenes to look at")
+    parser.add_argument("--sources", type=int, default=4)
     parser.add_argument("--out", type=Path, default=SHIPPED)
     options = parser.parse_args()
     if not (options.run / "state.pt").exists():
         parser.error(f"{options.run} holds no state.pt")
+    scenes = sorted(options.scenes.glob("*.npz"))
+    if not scenes:
+        parser.error(f"{options.scenes} holds no scenes")
     state = start(options.run, torch.device("cpu"))
-    save_network(state.ema, options.out, {"samples": state.samples, "steps": state.steps})
-    print(f"{options.out}: {state.samples} samples seen")
+    network = state.ema.eval()
+    features, errors = observe(network, scenes, options.samples, options.sources)
+    network.config = replace(network.config, calibration=fit(features, (errors < 1).float()))
+    measured = {"epe": errors.mean().item(), "e1": (errors > 1).float().mean().item() * 100,
+                "e3": (errors > 3).float().mean().item() * 100}
+    measured = {name: round(value, 3) for name, value in measured.items()}
+    facts = {"samples": state.samples, "steps": state.steps,
+             "held_out": {**measured, "crops": options.samples, "size": list(SIZE), "sources": options.sources}}
+    save_network(network, options.out, facts)
+    print(f"{options.out}: {state.samples} samples seen; on held-out scenes {measured}")
 
 
 if __name__ == "__main__":

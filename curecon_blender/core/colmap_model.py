@@ -152,7 +152,7 @@ def _scale_to_photos(model: pycolmap.Reconstruction, matched: dict[int, Photo], 
             raise SparseError(
                 f"{photo.name} has {photo.width}x{photo.height} pixels, but its camera in the model {folder} has "
                 f"{camera.width}x{camera.height}.",
-                remedy="Use the photos from which the model was made (scaled evenly, if at all; not cropped or turned).",
+                remedy="Use the photos from which the model was made (scaled evenly at most, not cropped or turned).",
                 path=photo.path,
             )
     for image_id in matched:

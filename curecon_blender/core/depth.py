@@ -157,14 +157,14 @@ class DepthEstimator:
 
         near, far = (torch.tensor([d], dtype=torch.float32, device=self.device) for d in (view.near, view.far))
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.dtype == torch.bfloat16):
-            finest = self._network.sweep(
+            outputs = self._network.sweep(
                 features[0], features[1:], tensor(K), tensor(poses), near, far,
                 tensor(np.array([score for _, score in sources])),
-            )[-1]
-        depth = depth_from_t(finest.t, near, far)
+            )
+        depth, confidence = depth_from_t(outputs[-1].t, near, far), self._network.confidence(outputs)
         height, width = tile.y1 - tile.y0, tile.x1 - tile.x0
         return (depth[0, 0, :height, :width].cpu().numpy(),
-                finest.confidence[0, 0, :height, :width].cpu().numpy().astype(np.float16))
+                confidence[0, 0, :height, :width].cpu().numpy().astype(np.float16))
 
     def _features_of(self, view: View, region: Tile, whole: bool) -> tuple[Tensor, ...]:
         """Features of a region; of whole photos they are kept, as many as a quarter of the budget holds."""

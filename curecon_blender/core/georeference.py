@@ -208,7 +208,8 @@ def up_from_cameras(cameras: _Cameras) -> Gravity:
         up = vectors[:, 0]
         # Drone and hand-held cameras look ahead or down, hardly ever up.
         up = -up if float(np.sum((down + forward) @ up)) > 0 else up
-        return Gravity(up=up, sigma=max(3.0, float(np.degrees(np.sqrt(max(values[0], 0.0) / values[1])))), source="level cameras")
+        off_level = float(np.degrees(np.sqrt(max(values[0], 0.0) / values[1])))
+        return Gravity(up=up, sigma=max(3.0, off_level), source="level cameras")
     along_x, along_y = (float(np.ptp(cameras.centres @ _unit(axis))) for axis in (vectors[:, 2], down[0]))
     if np.linalg.norm(forward.mean(0)) > 0.9 and (np.linalg.norm(down.mean(0)) < 0.5 or along_y > 0.5 * along_x):
         return Gravity(up=_unit(-forward.mean(0)), sigma=10.0, source="cameras taken to look straight down")

@@ -31,6 +31,8 @@ class NetworkConfig:
     interval_ratios: tuple[int, int, int] = (1, 2, 4)
     regulariser_channels: int = 8
     bottom_up: bool = True
+    # Confidence: weights of the levels' logit shares, then the constant; fitted by training/export.py.
+    calibration: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 0.0)
 
     @property
     def bins(self) -> int:
@@ -46,15 +48,14 @@ class LevelOutput:
     """One level's result at its own resolution (h, w).
 
     `logits` (B,M,h,w) of the unified probability volume P; `first` (B,1,h,w) is t of the first hypothesis;
-    `interval` is r in t; `t` (B,1,h,w) the estimate; `confidence` (B,1,h,w) in [0, 1], this level's and the
-    coarser levels' together.
+    `interval` is r in t; `t` (B,1,h,w) the estimate; `share` (B,1,h,w) in [0, 1], how much of P is gathered there.
     """
 
     logits: Tensor
     first: Tensor
     interval: float
     t: Tensor
-    confidence: Tensor
+    share: Tensor
 
 
 def depth_from_t(t: Tensor, near: Tensor, far: Tensor) -> Tensor:
@@ -272,11 +273,19 @@ class LCMMVSNet(nn.Module):
                 level, reference[level].float(), [s[level].float() for s in sources], terms, weights, inverse_depth
             )
             logits = self.regularisers[level](cost).float()
-            t, confidence = decode(logits, first, interval)
-            if outputs:
-                confidence = confidence * upsample(outputs[-1].confidence)
-            outputs.append(LevelOutput(logits, first, interval, t, confidence))
+            outputs.append(LevelOutput(logits, first, interval, *decode(logits, first, interval)))
         return outputs
+
+    def confidence(self, outputs: list[LevelOutput]) -> Tensor:
+        """(B,1,H,W) in [0, 1]: the chance that the depth is within one interval (1/128 of the sweep), a logistic
+        regression on the levels' shares."""
+        *weights, constant = self.config.calibration
+        height, width = outputs[-1].share.shape[2:]
+        total = torch.full_like(outputs[-1].share, constant)
+        for level, output in zip(LEVELS, outputs, strict=True):
+            share = F.interpolate(output.share, (height, width), mode="bilinear", align_corners=False)
+            total += weights[level] * torch.logit(share, eps=1e-4)
+        return torch.sigmoid(total)
 
     def _first_hypothesis(self, level: int, outputs: list[LevelOutput], h: int, w: int, like: Tensor) -> Tensor:
         """t (B,1,h,w) of a level's first hypothesis: 0, or half a window before the upsampled coarser estimate."""
@@ -299,11 +308,11 @@ def upsample(x: Tensor) -> Tensor:
 
 
 def decode(logits: Tensor, first: Tensor, interval: float) -> tuple[Tensor, Tensor]:
-    """Eq. 3: t = t_m* + r (1 - max P), and a confidence, each (B,1,h,w).
+    """Eq. 3: t = t_m* + r (1 - max P), and P's share within one hypothesis of m*, each (B,1,h,w).
 
     The paper prints + r max P, which would contradict its own label, 1 - (d - d_m) / r. max P alone is no
     confidence, since a true depth late in its interval has a small label: what speaks for a depth is that P is
-    gathered around m*, so the confidence is P's share within one hypothesis of m*.
+    gathered around m*.
     """
     probability = torch.sigmoid(logits)
     peak, index = probability.max(1, keepdim=True)

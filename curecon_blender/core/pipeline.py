@@ -150,7 +150,7 @@ class _Job:
         return {
             "photos": len(self.photo_set.photos),
             "skipped": [{"path": str(s.path), "reason": s.reason} for s in self.photo_set.skipped],
-            "registered": sum(len(c.views) for c in self.components),
+            "registered": sum(_registered(root / "sparse")) if "sparse" in stages else 0,
             "components": [
                 {"index": c.index, "photos": len(c.views), "scale": c.frame.scale, "up": c.frame.up,
                  "gps_residual": c.frame.gps_residual, "note": c.frame.note, "points": _point_count(root / c.cloud)}
@@ -222,6 +222,11 @@ def _digest(model: Path) -> str:
         digest.update(file.name.encode())
         digest.update(file.read_bytes())
     return digest.hexdigest()
+
+
+def _registered(sparse: Path) -> list[int]:
+    """Registered photos of each component: the count that a binary COLMAP model's images begin with."""
+    return [int.from_bytes(file.read_bytes()[:8], "little") for file in sorted(sparse.glob("[0-9]*/images.bin"))]
 
 
 def _point_count(cloud: Path) -> int:

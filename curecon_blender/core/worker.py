@@ -226,3 +226,7 @@ def _in_words(summary: dict[str, object]) -> str:
         where = f"\n{', '.join(clouds)}" if clouds else ""
         return f"{summary['registered']} of {summary['photos']} photos, {summary['points']:,} points{where}"
     return json.dumps(summary, indent=1, ensure_ascii=False)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,156 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The network's geometry and arithmetic, and the shipped weights on a ray-cast scene that they have never seen."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from box_scene import cast, make_view, write_scene
+
+from curecon_blender.core.depth import DepthEstimator, Tile, plan_tiles, visible_region
+from curecon_blender.core.errors import DeviceError
+from curecon_blender.core.matching_scores import depth_range, matching_score
+from curecon_blender.core.network import (
+    LCMMVSNet,
+    decode,
+    depth_from_t,
+    homography_terms,
+    relative_pose,
+    t_from_depth,
+    warp,
+)
+from curecon_blender.core.options import Options
+from curecon_blender.core.weights import load_network
+from training.losses import unified_label
+
+
+def tensor(values: np.ndarray) -> torch.Tensor:
+    return torch.from_numpy(np.ascontiguousarray(values, np.float32)).unsqueeze(0)
+
+
+def test_a_source_warped_at_the_true_depth_is_the_reference() -> None:
+    reference, source = make_view(0, 24), make_view(1, 24)
+    depth, picture = cast(reference)
+    _, other = cast(source)
+    pose = relative_pose(tensor(source.cam_from_world), tensor(reference.cam_from_world))
+
+    def difference(shift_u: float, shift_v: float) -> float:
+        """Median difference in grey levels, with the source's principal point moved by so many pixels."""
+        K = source.K + np.array([[0, 0, shift_u], [0, 0, shift_v], [0, 0, 0]])
+        terms = homography_terms(tensor(reference.K), tensor(K), pose, *depth.shape)
+        warped = warp(tensor(other.transpose(2, 0, 1)), *terms, tensor(1 / np.maximum(depth, 1e-3)[None]))
+        return float(np.median(np.abs(warped[0, :, 0].numpy().transpose(1, 2, 0) - picture)[depth > 0]))
+
+    exact = difference(0, 0)
+    assert exact < 4  # of 255: what interpolation costs
+    for shift in ((0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5)):
+        assert difference(*shift) > 2 * exact
+
+
+def test_label_and_decoder_agree_to_the_last_digit() -> None:
+    first, interval, count = torch.tensor(0.2).view(1, 1, 1, 1).expand(1, 1, 1, 200), 0.01, 16
+    t = torch.linspace(0.2001, 0.3599, 200).view(1, 1, 1, 200)
+    label = unified_label(t, first, interval, count)
+    decoded, share = decode(torch.logit(label.clamp(1e-6, 1 - 1e-6)), first, interval)
+    torch.testing.assert_close(decoded, t, atol=1e-5, rtol=0)
+    assert (share[label.max(1, keepdim=True).values > 0.05] > 0.99).all()  # small labels are no less sure
+
+
+def test_sweep_coordinate_and_depth_are_inverse_and_rise_together() -> None:
+    near, far = torch.tensor([2.0]), torch.tensor([50.0])
+    depth = torch.linspace(2, 50, 30).view(1, 1, 1, 30)
+    t = t_from_depth(depth, near, far)
+    assert (t.diff() > 0).all() and t[..., 0].item() == pytest.approx(0) and t[..., -1].item() == pytest.approx(1)
+    torch.testing.assert_close(depth_from_t(t, near, far), depth)
+
+
+def test_a_view_with_no_matching_score_has_no_say() -> None:
+    torch.manual_seed(0)
+    network = LCMMVSNet().eval()
+    views = [make_view(i, 24) for i in (0, 1, 2)]
+    K, poses = (tensor(np.stack([getattr(v, n) for v in views])) for n in ("K", "cam_from_world"))
+    near, far = torch.tensor([3.0]), torch.tensor([15.0])
+    images = torch.rand(1, 3, 3, 96, 160)
+    other = images.clone()
+    other[:, 2] = torch.rand(3, 96, 160)
+    with torch.no_grad():
+        mute = [network(x, K, poses, near, far, torch.tensor([[3.0, 0.0]]))[-1].t for x in (images, other)]
+        heard = [network(x, K, poses, near, far, torch.tensor([[3.0, 1.0]]))[-1].t for x in (images, other)]
+    torch.testing.assert_close(*mute)
+    assert not torch.equal(*heard)
+
+
+def test_slices_of_the_cost_volume_change_nothing() -> None:
+    torch.manual_seed(0)
+    network = LCMMVSNet().eval()
+    views = [make_view(i, 24) for i in (0, 1, 2)]
+    K, poses = (tensor(np.stack([getattr(v, n) for v in views])) for n in ("K", "cam_from_world"))
+    arguments = (torch.rand(1, 3, 3, 96, 160), K, poses, torch.tensor([3.0]), torch.tensor([15.0]), torch.ones(1, 2))
+    whole = network(*arguments)[-1].t.detach()
+    with torch.no_grad():
+        sliced = network(*arguments)[-1].t
+    torch.testing.assert_close(whole, sliced, atol=1e-4, rtol=1e-4)
+
+
+@pytest.mark.parametrize(("angle", "score"), [(5, 1.0), (4, np.exp(-0.5)), (15, np.exp(-0.5)), (0.001, np.exp(-12.5))])
+def test_matching_score_of_one_point_by_hand(angle: float, score: float) -> None:
+    half = np.radians(angle) / 2
+    centres = [np.array([s * np.sin(half), 0, np.cos(half)]) * 10 for s in (-1, 1)]
+    assert matching_score(*centres, np.zeros((1, 3))) == pytest.approx(score, rel=0.02)
+    assert matching_score(*centres, np.zeros((7, 3))) == pytest.approx(7 * score, rel=0.02)
+
+
+def test_depth_range_holds_the_points_and_shrugs_off_a_stray_one() -> None:
+    depths = np.concatenate([np.linspace(10, 20, 999), [5000.0]])
+    near, far = depth_range(depths)
+    assert near < 10 and 20 < far < 30
+
+
+def test_the_shipped_weights_find_the_depth_of_a_scene(tmp_path: Path) -> None:
+    views = [make_view(i, 30) for i in range(5)]
+    component = write_scene(tmp_path, views)
+    reference = component.views[2]
+    others = {v.name: v for v in component.views}
+    options = Options(photos=tmp_path, workspace=tmp_path, device="cpu", precision="fp32")
+    depth, confidence = DepthEstimator(load_network(), tmp_path, options).estimate(
+        reference, [(others[n], s) for n, s in reference.sources]
+    )
+    truth, _ = cast(reference)
+    seen = truth > 0
+    error = np.abs(depth - truth)[seen] / truth[seen]
+    assert np.median(error) < 0.02
+    sure = confidence[seen] > np.median(confidence[seen])
+    assert error[sure].mean() < error[~sure].mean()  # confidence means something
+
+
+def test_tiles_cover_the_photo_within_the_budget() -> None:
+    for width, height in ((800, 600), (8000, 6000), (321, 1999)):
+        for budget in (900 << 20, 4 << 30):
+            covered = np.zeros((height, width), bool)
+            tiles = plan_tiles(width, height, 4, budget)
+            for tile in tiles:
+                assert tile.x0 >= 0 and tile.y0 >= 0 and tile.x1 <= width and tile.y1 <= height
+                covered[tile.y0 : tile.y1, tile.x0 : tile.x1] = True
+            assert covered.all()
+    with pytest.raises(DeviceError, match="too small"):
+        plan_tiles(8000, 6000, 4, 100 << 20)
+
+
+def test_a_tile_takes_from_a_source_all_that_it_can_see() -> None:
+    reference, source = make_view(0, 24), make_view(1, 24)
+    depth, _ = cast(reference)
+    tile = Tile(96, 32, 160, 96)
+    region = visible_region(reference, tile, source)
+    v, u = np.mgrid[tile.y0 : tile.y1, tile.x0 : tile.x1] + 0.5
+    z = np.clip(depth[tile.y0 : tile.y1, tile.x0 : tile.x1], reference.near, reference.far)
+    camera = np.linalg.inv(reference.K) @ np.stack([u, v, np.ones_like(u)]).reshape(3, -1) * z.reshape(-1)
+    world = reference.cam_from_world[:, :3].T @ (camera - reference.cam_from_world[:, 3:])
+    x, y, w = source.K @ (source.cam_from_world[:, :3] @ world + source.cam_from_world[:, 3:])
+    inside = (x / w > 0) & (x / w < source.width) & (y / w > 0) & (y / w < source.height)
+    assert inside.any()
+    assert (x / w)[inside].min() >= region.x0 and (x / w)[inside].max() <= region.x1
+    assert (y / w)[inside].min() >= region.y0 and (y / w)[inside].max() <= region.y1

@@ -1,0 +1,104 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Training: stopping and resuming loses nothing, a step learns, and a sample's crops agree with each other."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from box_scene import BOX, cast, make_view
+
+from conftest import ROOT
+from training.dataset import Sample, training_sample
+from training.generator import Scene
+from training.train import State, batch_tensors, save, start, step
+
+ASSETS = ROOT.parent / "shared" / "data" / "training"
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    """The ray-cast box as a training scene, its sparse points on the box and around it."""
+    views = [make_view(i, 30) for i in range(5)]
+    depth, images = zip(*(cast(view) for view in views), strict=True)
+    rng = np.random.default_rng(0)
+    points = np.column_stack([rng.uniform(-1, 1, (300, 2)), np.full(300, BOX[1, 2])])
+    return Scene(
+        np.stack(images), np.stack(depth), np.stack([v.K for v in views]), np.stack([v.cam_from_world for v in views]),
+        points.astype(np.float32), np.ones((5, 300), bool),
+    )
+
+
+def samples(scene: Scene, count: int) -> list[Sample]:
+    rng = np.random.default_rng(1)
+    found = [training_sample(scene, rng, 2, (64, 64)) for _ in range(2 * count)]
+    return [s for s in found if s is not None][:count]
+
+
+def run(state: State, some: list[Sample]) -> list[float]:
+    return [step(state, batch_tensors([s], torch.device("cpu")), 100, bf16=False)["loss"] for s in some]
+
+
+def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(scene: Scene, tmp_path: Path) -> None:
+    some = samples(scene, 6)
+    through = start(tmp_path / "nowhere", torch.device("cpu"))
+    run(through, some)
+    first = start(tmp_path / "nowhere", torch.device("cpu"))
+    run(first, some[:3])
+    save(first, tmp_path)
+    second = start(tmp_path, torch.device("cpu"))
+    assert second.samples == 3
+    run(second, some[3:])
+    assert second.samples == through.samples == 6
+    for name in ("network", "ema"):
+        ours, theirs = getattr(second, name).state_dict(), getattr(through, name).state_dict()
+        for key in ours:
+            torch.testing.assert_close(ours[key], theirs[key], atol=1e-5, rtol=1e-4)
+
+
+def test_it_learns(scene: Scene, tmp_path: Path) -> None:
+    state = start(tmp_path, torch.device("cpu"))
+    losses = run(state, samples(scene, 1) * 30)
+    assert np.mean(losses[-5:]) < 0.8 * np.mean(losses[:5])
+
+
+def test_crops_of_a_sample_show_the_same_place(scene: Scene) -> None:
+    for sample in samples(scene, 5):
+        height, width = sample.depth.shape
+        v, u = np.nonzero(sample.depth)
+        rays = np.linalg.inv(sample.K[0]) @ np.stack([u + 0.5, v + 0.5, np.ones(len(u))])
+        pose = sample.cam_from_world[0]
+        world = pose[:, :3].T @ (rays * sample.depth[v, u] - pose[:, 3:])
+        x, y, w = sample.K[1] @ (sample.cam_from_world[1][:, :3] @ world + sample.cam_from_world[1][:, 3:])
+        x, y = x / w, y / w
+        inside = (x > 1) & (x < width - 1) & (y > 1) & (y < height - 1)
+        assert inside.mean() > 0.4
+        ours = sample.images[0][v, u][inside].astype(float)
+        theirs = sample.images[1][y[inside].astype(int), x[inside].astype(int)].astype(float)
+        assert np.median(np.abs(ours - theirs)) < 15
+        assert sample.near < np.median(sample.depth[sample.depth > 0]) < sample.far
+
+
+@pytest.mark.skipif(not ASSETS.exists(), reason="the asset folder for training is not beside the repository")
+def test_rendered_scenes_are_geometrically_exact() -> None:
+    from training.generator import Generator
+
+    scene = Generator(ASSETS).generate(7, (192, 144), views=5, pose_noise=False)
+    checked = 0
+    for other in range(1, 5):
+        v, u = np.nonzero(scene.depth[0])
+        pose, target = scene.cam_from_world[0], scene.cam_from_world[other]
+        rays = np.linalg.inv(scene.K[0]) @ np.stack([u + 0.5, v + 0.5, np.ones(len(u))])
+        world = pose[:, :3].T @ (rays * scene.depth[0][v, u] - pose[:, 3:])
+        camera = target[:, :3] @ world + target[:, 3:]
+        x, y, _ = scene.K[other] @ camera / camera[2]
+        inside = (x > 0) & (x < 192) & (y > 0) & (y < 144) & (camera[2] > 0)
+        there = scene.depth[other][y[inside].astype(int), x[inside].astype(int)]
+        relative = np.abs(there - camera[2][inside]) / camera[2][inside]
+        if (relative < 0.05).sum() > 500:  # enough of the same surface in both
+            assert np.median(relative[relative < 0.05]) < 0.01
+            checked += 1
+    assert checked
