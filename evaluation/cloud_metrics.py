@@ -114,12 +114,14 @@ def in_prism(points: np.ndarray, polygon: np.ndarray, axis: int, low: float, hig
 
 
 def read_points(path: Path) -> np.ndarray:
-    """Points (n,3) float64 of a PLY, or of an .npz with `points` (times `unit`, where it has one)."""
+    """Points (n,3) float64 of a PLY, or of an .npz with `points` (n,3) or (3,n), times `unit`, where it has one."""
     if path.suffix != ".npz":
         return read_cloud(path).points.astype(np.float64)
     try:
         with np.load(path) as file:
             points: np.ndarray = file["points"] * float(file.get("unit", 1.0))
+            if points.shape[1] != 3:  # (3,N), as the sample site keeps it: coordinates by axis compress better
+                points = points.T
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
         raise WorkspaceError(f"{path} is not a cloud that can be read: {error}", path=path,
                              remedy="Give a binary PLY, or .npz with the key `points`.") from error

@@ -73,7 +73,7 @@ def build_cloud(shots: list[Shot], depth_folder: Path, path: Path) -> None:
             depths.append(data["depth"])
     cloud = make_cloud(shots, depths, FOCAL)
     np.savez_compressed(path, **cloud)
-    print(f"{len(cloud['points'])} points, {path.stat().st_size / 1e6:.2f} MB")
+    print(f"{len(cloud['views'])} points, {path.stat().st_size / 1e6:.2f} MB")
 
 
 def main() -> None:

@@ -11,9 +11,9 @@ import numpy as np
 from site_flight import ALTITUDE, LATITUDE, LONGITUDE, Shot
 from tulou_surroundings import POND_CENTRE, POND_LEVEL, POND_RADIUS
 
-CROP_RADIUS = 32.0
+CROP_RADIUS = 30.0
 VOXEL = 0.10
-UNIT = 0.002
+UNIT = 0.004
 MIN_VIEWS = 3
 
 
@@ -101,7 +101,7 @@ def make_cloud(shots: list[Shot], depths: list[np.ndarray], focal: float) -> dic
     views = count_views(points, shots, depths, focal)
     keep = views >= MIN_VIEWS
     return {
-        "points": np.round(points[keep] / UNIT).astype(np.int16),
+        "points": np.ascontiguousarray(np.round(points[keep] / UNIT).astype(np.int16).T),  # by axis it packs smaller
         "unit": np.float64(UNIT),
         "views": views[keep],
         "voxel": np.float64(VOXEL),

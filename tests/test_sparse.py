@@ -239,6 +239,7 @@ def test_a_given_model_of_other_photos(site: Site, tmp_path: Path) -> None:
     model, _ = import_model(tmp_path, double, tmp_path / "double")
     for camera_id, camera in given.cameras.items():
         assert model.camera(camera_id).mean_focal_length() == pytest.approx(2 * camera.mean_focal_length())
+    given.update_point_3d_errors()
     errors = [m.compute_mean_reprojection_error() for m in (model, given)]
     assert errors[0] == pytest.approx(2 * errors[1], rel=0.1)
 

@@ -60,7 +60,11 @@ def read_model(folder: Path) -> pycolmap.Reconstruction:
             source = folder
         model = pycolmap.Reconstruction()
         try:
-            model.read_binary(source) if suffix == ".bin" else model.read_text(source)
+            if suffix == ".bin":
+                model.read_binary(source)
+            else:
+                model.read_text(source)
+                _restore_names(model, source / "images.txt")
         except _READ_ERRORS as error:
             raise SparseError(
                 f"The COLMAP model in {folder} cannot be read: its {suffix} files are damaged, cut short or do not "
@@ -75,6 +79,16 @@ def read_model(folder: Path) -> pycolmap.Reconstruction:
                 remedy="Use perspective or fisheye cameras with all of their parameters, not panoramas.", path=folder,
             )
     return model
+
+
+def _restore_names(model: pycolmap.Reconstruction, images: Path) -> None:
+    """Names with spaces, which pycolmap reads from a text model only as far as the first space."""
+    lines = iter(images.read_text(encoding="utf-8").splitlines())
+    for line in lines:
+        if line.strip() and not line.startswith("#"):
+            fields = line.split(maxsplit=9)
+            model.image(int(fields[0])).name = fields[9].strip()
+            next(lines, None)  # the image's 2D points
 
 
 def _first_line(error: Exception) -> str:
@@ -165,6 +179,7 @@ def _scale_to_photos(model: pycolmap.Reconstruction, matched: dict[int, Photo], 
         camera = model.camera(camera_id)
         if (camera.width, camera.height) != (width, height):
             camera.rescale(width, height)
+    model.update_point_3d_errors()
 
 
 def write_components(workspace: Path, components: list[tuple[pycolmap.Reconstruction, Frame]]) -> None:

@@ -27,7 +27,7 @@ BENT = 5.0  # metres; a larger median distance from GPS is more than GPS errs by
 CONTRADICTS = 15.0, 10.0  # metres, times the median: a photo farther than both from its GPS is named
 
 # Rough seconds a photo or a pair takes, for progress and remaining time: their ratios matter, not their size.
-_FEATURE_COST, _PAIR_COST, _MAPPING_COST = 2.0, 0.4, 1.0
+_FEATURE_COST, _PAIR_COST, _MAPPING_COST = 2.0, 0.4, 3.0
 
 
 def reconstruct(photo_set: PhotoSet, options: Options, workspace: Path, reporter: Reporter) -> list[Frame]:
@@ -42,9 +42,11 @@ def reconstruct(photo_set: PhotoSet, options: Options, workspace: Path, reporter
     settings = _feature_settings(options)
     with matching.open_database(_database_path(workspace), photos, settings) as database:
         pairs = matching.metadata_pairs(photos)
-        meter = _Meter(reporter, photos, settings, len(pairs), mapping=len(photos))
+        retrieval = matching.needs_retrieval(photos)
+        expected = len(pairs) + retrieval * len(photos) * matching.RETRIEVED // 2
+        meter = _Meter(reporter, settings, features=len(photos), pairs=expected, mapping=len(photos))
         _extract(database, photos, settings, meter)
-        if matching.needs_retrieval(photos):
+        if retrieval:
             pairs |= matching.similar_pairs(database, photos, reporter.check_cancelled)
         _match(database, photos, pairs, options, meter)
     models = _components(_map(photos, options, workspace, meter))
@@ -109,40 +111,46 @@ def _feature_settings(options: Options) -> matching.FeatureSettings:
 
 
 class _Meter:
-    """The stage's progress over its three phases, in hundredths of rough seconds."""
+    """The stage's progress over its three phases in per cent, weighed by rough seconds."""
 
     def __init__(
-        self, reporter: Reporter, photos: tuple[Photo, ...], settings: matching.FeatureSettings, pairs: int, *,
-        mapping: int,
+        self, reporter: Reporter, settings: matching.FeatureSettings, *, features: int, pairs: int, mapping: int
     ) -> None:
         self.reporter = reporter
         self.feature = 100 * _FEATURE_COST * (settings.image_size / 1200) ** 2
         self.pair = 100 * _PAIR_COST * (settings.max_features / 8192) ** 2
         self.photo = 100 * _MAPPING_COST
-        self.total = int(self.feature * len(photos) + self.pair * pairs + self.photo * mapping)
-        self.done = 0.0
+        self._ends = np.cumsum([self.feature * features, self.pair * pairs, self.photo * mapping]).tolist()
+        self._phase, self._done = 0, 0.0
+
+    def enter(self, phase: int) -> None:
+        """Begin matching (1) or mapping (2)."""
+        self._phase, self._done = phase, self._ends[phase - 1]
 
     def advance(self, units: float, *, fresh: bool = True) -> None:
-        self.done = min(self.done + units, float(self.total))
-        self.reporter.progress(int(self.done), self.total, fresh=fresh)
+        self._done = min(self._done + units, self._ends[self._phase])
+        self.reporter.progress(int(100 * self._done / max(self._ends[-1], 1)), 100, fresh=fresh)
 
     def finish(self) -> None:
-        self.reporter.progress(self.total, self.total)
+        self.reporter.progress(100, 100)
 
 
 def _extract(
     database: pycolmap.Database, photos: tuple[Photo, ...], settings: matching.FeatureSettings, meter: _Meter
 ) -> None:
     found = len(photos) - len(matching.missing_features(database, photos))
-    meter.advance(found * meter.feature, fresh=False)
+    if found:
+        meter.advance(found * meter.feature, fresh=False)
     matching.extract_features(database, photos, settings, lambda: meter.advance(meter.feature))
 
 
 def _match(
     database: pycolmap.Database, photos: tuple[Photo, ...], pairs: set[matching.Pair], options: Options, meter: _Meter
 ) -> None:
+    meter.enter(1)
     left = matching.unmatched(database, photos, pairs)
-    meter.advance((len(pairs) - len(left)) * meter.pair, fresh=False)
+    if len(left) < len(pairs):
+        meter.advance((len(pairs) - len(left)) * meter.pair, fresh=False)
     device = "cuda" if options.device in ("auto", "cuda") and torch.cuda.is_available() else "cpu"
     matching.match_pairs(database, photos, left, device, lambda: meter.advance(meter.pair))
 
@@ -151,6 +159,7 @@ def _match(
 
 def _map(photos: tuple[Photo, ...], options: Options, workspace: Path, meter: _Meter) -> list[pycolmap.Reconstruction]:
     """The models that the mapper makes of the database, in no order."""
+    meter.enter(2)
     mapper = options.mapper
     if mapper == "auto":
         mapper = "incremental" if len(photos) <= INCREMENTAL else "global"
@@ -282,33 +291,50 @@ def _warn_of_gps(placement: georeference.Placement, photos: int, index: int, rep
 def _triangulate(
     model: pycolmap.Reconstruction, photo_set: PhotoSet, options: Options, workspace: Path, reporter: Reporter
 ) -> pycolmap.Reconstruction:
-    """Points for a model of cameras alone, from matches between cameras that are near and look the same way."""
+    """The model's cameras with points, from matches between cameras that are near and look the same way.
+
+    (Not pycolmap.triangulate_points: it wants the database's cameras to be the model's, and adjusts them.)
+    """
     images = {model.image(i).name: model.image(i) for i in model.reg_image_ids()}
     photos = tuple(photo for photo in photo_set.photos if photo.name in images)
     settings = _feature_settings(options)
     centres = np.array([images[photo.name].projection_center() for photo in photos])
     axes = np.array([images[photo.name].viewing_direction() for photo in photos])
+    result, matches = pycolmap.Reconstruction(), pycolmap.CorrespondenceGraph()
+    for camera in model.cameras.values():
+        result.add_camera_with_trivial_rig(camera)
     with matching.open_database(_database_path(workspace), photos, settings) as database:
         pairs = matching.near_pairs(centres, axes)
-        meter = _Meter(reporter, photos, settings, len(pairs), mapping=0)
+        meter = _Meter(reporter, settings, features=len(photos), pairs=len(pairs), mapping=0)
         _extract(database, photos, settings, meter)
         _match(database, photos, pairs, options, meter)
-    output = workspace / "sparse" / ".mapper"
-    with disk_errors(output):
-        output.mkdir(parents=True, exist_ok=True)
-    settings_map = pycolmap.IncrementalPipelineOptions()
-    settings_map.num_threads, settings_map.random_seed = matching.threads(), 0
-    settings_map.extract_colors = False
-    try:
-        triangulated = pycolmap.triangulate_points(
-            model, _database_path(workspace), workspace, output, options=settings_map
-        )
-    finally:
-        shutil.rmtree(output, ignore_errors=True)
-    if triangulated.num_points3D() == 0:
+        ids = matching.image_ids(database, photos)
+        for photo, image_id in zip(photos, ids, strict=True):
+            given = images[photo.name]
+            keypoints = database.read_keypoints(image_id)[:, :2].astype(np.float64)
+            image = pycolmap.Image(photo.name, keypoints, given.camera_id, image_id)
+            result.add_image_with_trivial_frame(image, given.cam_from_world())
+            matches.add_image(image_id, len(keypoints))
+        for first, second in sorted(pairs):
+            geometry = database.read_two_view_geometry(ids[first], ids[second])
+            matches.add_two_view_geometry(ids[first], ids[second], geometry)
+    matches.finalize()
+    observations = pycolmap.ObservationManager(result, matches)
+    triangulator = pycolmap.IncrementalTriangulator(matches, result, observations)
+    triangulation = pycolmap.IncrementalTriangulatorOptions()
+    triangulation.random_seed = 0
+    for image_id in ids:
+        reporter.check_cancelled()
+        triangulator.triangulate_image(triangulation, image_id)
+    triangulator.complete_all_tracks(triangulation)
+    triangulator.merge_all_tracks(triangulation)
+    observations.filter_all_points3D(max_reproj_error=4.0, min_tri_angle=1.5)
+    if result.num_points3D() == 0:
         raise SparseError(
             "No point could be triangulated from the given model's cameras: they do not fit the photos.",
             remedy="Check that the model was made from these very photos, and that its poses are cam_from_world.",
         )
-    _colour(triangulated, {photo.name: photo for photo in photos}, settings.image_size, reporter)
-    return triangulated
+    result.update_point_3d_errors()
+    _colour(result, {photo.name: photo for photo in photos}, settings.image_size, reporter)
+    meter.finish()
+    return result

@@ -14,6 +14,7 @@ MATERIAL = "CU-Recon Colour"
 CLOUD_KEY = "curecon_cloud"  # marks the point clouds that viewport.py draws
 VOXELS_PER_SPACING = 10  # about 20 points of a surface fall into a voxel of the radius estimate
 HASH_BITS = 24
+LARGEST_RADIUS = 1.5  # times the median: a lone point is no surface, and a big disc would hide what is behind it
 CLOSING = 1.2  # discs of radius 1.2 / sqrt(density) leave 1 % of a randomly sampled surface open
 SPACING_CELLS = 64  # along the longest side, for the spacing estimate
 SPACING_SAMPLES = 48
@@ -48,7 +49,7 @@ def radii(points: np.ndarray) -> np.ndarray:
     """A radius (N,) float32 for each of `points` (N,3), so that discs on a surface of that local density close it.
 
     The density is the number of points in a voxel over the area of its side. A surface may only clip a voxel's corner,
-    so the fuller voxel of two staggered grids counts.
+    so the fuller voxel of two staggered grids counts. None is larger than LARGEST_RADIUS times the median.
     """
     voxel = VOXELS_PER_SPACING * spacing(points)
     low = points.min(axis=0, initial=0)
@@ -59,7 +60,10 @@ def radii(points: np.ndarray) -> np.ndarray:
         cells *= np.array([73_856_093, 19_349_663, 83_492_791])
         keys = (cells[:, 0] ^ cells[:, 1] ^ cells[:, 2]) & ((1 << HASH_BITS) - 1)
         np.maximum(fullest, np.bincount(keys, minlength=1)[keys], out=fullest)
-    return (CLOSING * voxel / np.sqrt(fullest)).astype(np.float32)
+    found = CLOSING * voxel / np.sqrt(fullest)
+    if len(found):
+        np.minimum(found, LARGEST_RADIUS * np.median(found), out=found)
+    return found.astype(np.float32)
 
 
 def spacing(points: np.ndarray) -> float:
