@@ -16,7 +16,7 @@ export PYTHONPATH := $(CURDIR)
 
 environment: .venv/.ready
 
-.venv/.ready: requirements.txt requirements-dev.txt
+.venv/.ready: curecon_blender/requirements.txt requirements-dev.txt
 	$(PYTHON) -c "import sys; sys.exit(sys.version_info[:2] != (3, 11) and 'Python 3.11 is needed: make PYTHON=python3.11')"
 	$(PYTHON) -m venv .venv
 	$(VENV) -m pip install --quiet --disable-pip-version-check -r requirements-dev.txt

@@ -47,8 +47,8 @@ def measure(width: int, height: int, sources: int, device: str, precision: str, 
             estimator.estimate(views[0], [(view, 1.0) for view in views[1:]])
             wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
         tiles = len(plan_tiles(width, height, sources, estimator.budget))
-        print(f"{width}x{height}  N={sources}  {str(estimator.dtype)[6:]:8}  {tiles:3} tiles  {wall:6.1f} s  {cpu:6.1f} CPU s  "
-              f"{(peak.bytes - before.bytes) / 2**30:5.2f} GiB", flush=True)
+        print(f"{width}x{height}  N={sources}  {str(estimator.dtype)[6:]:8}  {tiles:3} tiles  {wall:6.1f} s  "
+              f"{cpu:6.1f} CPU s  {(peak.bytes - before.bytes) / 2**30:5.2f} GiB", flush=True)
 
 
 def main() -> None:

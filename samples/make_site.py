@@ -18,7 +18,6 @@ from pathlib import Path
 import bpy
 import numpy as np
 from PIL import Image
-
 from site_flight import LATITUDE, LONGITUDE, TAKE_OFF, UTC_OFFSET, Shot, develop, flight, save_photo
 from site_scene import FOCAL, HEIGHT, WIDTH, aim, build_scene, set_depth_renderer, set_photo_renderer, sun_direction
 from site_truth import make_cloud, write_model

@@ -12,7 +12,6 @@ from datetime import datetime
 import bpy
 import numpy as np
 from mathutils import Matrix
-
 from site_clutter import add_clutter
 from site_mesh import MeshBuilder
 from site_plants import add_crops, add_trees

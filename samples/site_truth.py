@@ -7,7 +7,6 @@ import json
 from pathlib import Path
 
 import numpy as np
-
 from site_flight import ALTITUDE, LATITUDE, LONGITUDE, Shot
 from tulou_surroundings import POND_CENTRE, POND_LEVEL, POND_RADIUS
 

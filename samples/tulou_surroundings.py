@@ -10,7 +10,6 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-
 from site_mesh import Opening, boxes, grid_part, noise, ridge, stones, tiled_slope, wall
 from tulou_model import GATE, WOOD, Site, polar, wall_paint
 

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import QUICK, ROOT, Run, command, curecon
 from PIL import Image
 
-from conftest import QUICK, ROOT, Run, command, curecon
 from curecon_blender.core.weights import SHIPPED
 from curecon_blender.core.workspace import Workspace
 

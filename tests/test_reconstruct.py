@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from conftest import QUICK, ROOT, SITE, SITE_PHOTOS, Run, command, curecon
+
 from curecon_blender.core import messages
 from curecon_blender.core.components import read
 from curecon_blender.core.ply import read_cloud

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import torch
 from box_scene import BOX, cast, make_view
-
 from conftest import ROOT
+
 from training.dataset import Sample, training_sample
 from training.generator import Scene
 from training.train import State, batch_tensors, save, start, step

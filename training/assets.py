@@ -56,7 +56,7 @@ def vertex_normals(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
         weights = np.repeat(face_normals[:, axis], 3)
         normals[:, axis] = np.bincount(faces.ravel(), weights=weights, minlength=len(positions))
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.where(lengths > 1e-12, normals / np.maximum(lengths, 1e-12), np.float32([0, 0, 1])).astype(np.float32)
+    return np.where(lengths > 1e-12, normals / np.maximum(lengths, 1e-12), np.array([0, 0, 1])).astype(np.float32)
 
 
 def read_glb(path: Path) -> list[Mesh]:
@@ -74,7 +74,7 @@ def read_glb(path: Path) -> list[Mesh]:
         item = np.dtype(code).itemsize
         stride = view.get("byteStride") or item * count
         offset = view.get("byteOffset", 0) + spec.get("byteOffset", 0)
-        values = np.ndarray((spec["count"], count), code, binary, offset, (stride, item))
+        values: np.ndarray = np.ndarray((spec["count"], count), code, binary, offset, (stride, item))
         if spec.get("normalized"):
             return values.astype(np.float32) / _NORMALISED_MAX[code]
         return values
@@ -169,7 +169,7 @@ def roof_tile_texture(seed: int, size: int = 512) -> np.ndarray:
     lip = 0.55 + 0.45 * np.clip((along % 1) * 6, 0, 1)
     tone = rng.uniform(0.6, 1.25, (rows, columns))[along.astype(int), across.astype(int)]
     stain = np.asarray(
-        Image.fromarray(rng.uniform(0, 1, (24, 24)).astype(np.float32)).resize((size, size), Image.BICUBIC)
+        Image.fromarray(rng.uniform(0, 1, (24, 24)).astype(np.float32)).resize((size, size), Image.Resampling.BICUBIC)
     )
     grain = rng.normal(1, 0.07, (size, size))
     base = np.array([[95, 95, 98], [120, 84, 66], [140, 92, 70], [105, 100, 88]])[seed % 4]
@@ -183,7 +183,7 @@ def plaster_texture(seed: int, size: int = 512) -> np.ndarray:
 
     def noise(rows: int, columns: int) -> np.ndarray:
         small = Image.fromarray(rng.normal(0, 1, (rows, columns)).astype(np.float32))
-        return np.asarray(small.resize((size, size), Image.BICUBIC))
+        return np.asarray(small.resize((size, size), Image.Resampling.BICUBIC))
 
     value = 0.12 * noise(8, 8) + 0.10 * noise(10, 60) + 0.08 * noise(64, 64) + 0.07 * noise(256, 256)
     value += 0.06 * rng.normal(0, 1, (size, size))
@@ -238,8 +238,8 @@ class Assets:
             return plaster_texture(int(name[8:]))
         if name == "plain":
             return np.full((4, 4, 3), 180, np.uint8)
-        image = Image.open(self.folder / name)
-        image = image.convert("RGBA" if image.mode in ("RGBA", "LA", "P") else "RGB")
+        file = Image.open(self.folder / name)
+        image = file.convert("RGBA" if file.mode in ("RGBA", "LA", "P") else "RGB")
         if max(image.size) > MAX_TEXTURE_SIZE:
-            image.thumbnail((MAX_TEXTURE_SIZE, MAX_TEXTURE_SIZE), Image.LANCZOS)
+            image.thumbnail((MAX_TEXTURE_SIZE, MAX_TEXTURE_SIZE), Image.Resampling.LANCZOS)
         return np.asarray(image)

@@ -34,7 +34,8 @@ PIXELS = 4000  # a sample
 def observe(network: LCMMVSNet, scenes: list[Path], samples: int, sources: int) -> tuple[Tensor, Tensor]:
     """Logit shares (P,3) by level 0, 1, 2, and the error in intervals (P,), of random pixels of the scenes."""
     rng = np.random.default_rng(0)
-    features, errors = [], []
+    features: list[Tensor] = []
+    errors: list[Tensor] = []
     while len(features) < samples:
         sample = training_sample(load(scenes[int(rng.integers(len(scenes)))]), rng, sources, SIZE)
         if sample is None:
@@ -60,7 +61,7 @@ def fit(features: Tensor, correct: Tensor) -> tuple[float, float, float, float]:
     def loss() -> Tensor:
         optimiser.zero_grad()
         value = F.binary_cross_entropy_with_logits(features @ parameters[:3] + parameters[3], correct)
-        value.backward()  # type: ignore[no-untyped-call]
+        value.backward()
         return value
 
     optimiser.step(loss)

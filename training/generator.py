@@ -192,7 +192,8 @@ def photograph(rng: np.random.Generator, images: list[np.ndarray]) -> list[np.nd
         if blur and rng.random() < 0.7:
             image = cv2.GaussianBlur(image, (0, 0), blur * rng.uniform(0.7, 1.3))
         if noise:
-            grain = cv2.randn(np.empty(image.shape, np.int16), 0, noise)
+            grain = np.empty(image.shape, np.int16)
+            cv2.randn(grain, np.zeros(3), np.full(3, noise))
             image = np.clip(image + grain, 0, 255).astype(np.uint8)
         code = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
         out.append(cv2.imdecode(code, cv2.IMREAD_COLOR)[..., ::-1])

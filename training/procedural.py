@@ -318,7 +318,11 @@ def _ring(
         slope = float(np.hypot(ridge - eave, rise))
         low = height - 0.1 - abs(overhang) * rise / (depth / 2) * 0.5
         round_ = 2 * np.pi * eave
-        place = around(lambda v, e=eave, s=slope: e + (ridge - e) * v / s, round_, power, (height + rise - low) / slope)
+
+        def outwards(v: np.ndarray, eave: float = eave, slope: float = slope) -> np.ndarray:
+            return eave + (ridge - eave) * v / slope
+
+        place = around(outwards, round_, power, (height + rise - low) / slope)
         roofs.append(panel(round_, slope, _sunk(place, -low), [], rough, 0.55, roof))
     return [outer, courtyard, *roofs]
 

@@ -186,7 +186,7 @@ def _set(program: moderngl.Program, **values: object) -> None:
     """Set uniforms by name; ones that the compiler dropped are passed over, matrices (row-major) are transposed."""
     for name, value in values.items():
         uniform = program.get(name, None)
-        if uniform is None:
+        if not isinstance(uniform, moderngl.Uniform):
             continue
         if isinstance(value, np.ndarray):
             matrix = value.T if value.ndim == 2 and value.shape[0] == value.shape[1] else value
@@ -202,7 +202,7 @@ class Renderer:
         """`samples` a pixel for colour (depth always has one); None: 4 on a GPU, 1 on software OpenGL, where 4 cost
         as much as two more pictures."""
         self.assets = assets
-        self.context = moderngl.create_standalone_context(backend="egl")
+        self.context = moderngl.create_context(standalone=True, backend="egl")  # type: ignore[arg-type]
         software = "llvmpipe" in self.context.info["GL_RENDERER"]
         self._samples = samples or (1 if software else min(4, self.context.max_samples))
         self._programs: dict[tuple[str, int, bool, bool, bool], moderngl.Program] = {}
@@ -316,13 +316,18 @@ class Renderer:
         """The shader for a material; what only matters to colour is left out of the depth shader's key."""
         colour = kind == "colour"
         mode = (1 if material.blend is not None else 2 if material.box_mapped else 0) if colour else 0
-        detail = colour and self._world.detail.strength > 0
+        detail = colour and self._drawn.detail.strength > 0
         key = (kind, mode, material.alpha_cut, detail, colour and material.ao is not None)
         if key not in self._programs:
             flags = zip(("MODE", "CUT", "DETAIL", "AO"), key[1:], strict=True)
             head = "#version 330\n" + "".join(f"#define {name} {int(value)}\n" for name, value in flags)
             self._programs[key] = self.context.program(head + _VERTEX, fragment_shader=head + _FRAGMENTS[kind])
         return self._programs[key]
+
+    @property
+    def _drawn(self) -> World:
+        assert self._world is not None, "upload a world first"
+        return self._world
 
     def _draw_world(
         self,
@@ -333,8 +338,7 @@ class Renderer:
         size: tuple[int, int],
     ) -> np.ndarray:
         """Clear the target and draw everything that the camera may see; returns (4,4) clip-from-world."""
-        world = self._world
-        assert world is not None, "upload a world first"
+        world = self._drawn
         target.use()
         target.clear(0, 0, 0, 0)
         self.context.enable_only(moderngl.DEPTH_TEST)
@@ -389,7 +393,7 @@ class Renderer:
             draw.mesh.draw(program)
 
     def _draw_sky(self, view_projection: np.ndarray) -> None:
-        light = self._world.light
+        light = self._drawn.light
         # A clip point at infinity is the direction alone, so the translation column drops out.
         world_from_ndc = np.linalg.inv(view_projection[[0, 1, 3], :3])
         self._texture(light.sky)[0].use(0)
@@ -398,7 +402,7 @@ class Renderer:
 
     def _shadow_matrix(self) -> np.ndarray:
         """(4,4) orthographic clip-from-world of the sun over the site."""
-        world = self._world
+        world = self._drawn
         radius = 1.25 * max(world.site.radius, world.site.height) + 6
         sun = world.light.sun
         side = np.cross([0, 0, 1.0], sun)
@@ -425,7 +429,7 @@ class Renderer:
         if name not in self._textures:
             image = self.assets.texture(name)
             texture = self.context.texture(
-                image.shape[1::-1], image.shape[2], np.ascontiguousarray(image).tobytes(), alignment=1
+                (image.shape[1], image.shape[0]), image.shape[2], np.ascontiguousarray(image).tobytes(), alignment=1
             )
             texture.build_mipmaps()
             texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)

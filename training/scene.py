@@ -184,19 +184,20 @@ def _building(assets: Assets, rng: np.random.Generator, held_out: bool) -> _Buil
         return _Building(tuple(meshes), None, np.ones(3), float(np.hypot(*high[:2])), float(high[2]), None, (low, high))
     name = str(rng.choice(assets.buildings(held_out)))
     variant = int(rng.integers(0, 4))
-    meshes = _rough_model(assets, name, variant)
-    low, high = _bounds(meshes)
+    model = _rough_model(assets, name, variant)
+    low, high = _bounds(model)
     scale = rng.uniform(0.7, 1.4) * rng.uniform(0.9, 1.1, 3)
     if "misc_" in name:  # statues modelled at the size of houses
         scale = scale * rng.uniform(0.3, 1.0)
     override = replace(wall_material(assets, rng), box_mapped=True) if rng.random() < 0.15 else None
     radius = float(np.abs(np.stack([low, high])[:, :2] * scale[:2]).max()) * 1.1
-    return _Building(meshes, f"{name}#{variant}", scale, radius, float(high[2] * scale[2]), override, (low, high))
+    return _Building(model, f"{name}#{variant}", scale, radius, float(high[2] * scale[2]), override, (low, high))
 
 
 def _tint(rng: np.random.Generator) -> tuple[float, float, float]:
     grey = rng.uniform(0.75, 1.15)
-    return tuple(float(x) for x in grey * rng.uniform(0.92, 1.08, 3))
+    red, green, blue = grey * rng.uniform(0.92, 1.08, 3)
+    return float(red), float(green), float(blue)
 
 
 def _scatter(
@@ -282,7 +283,7 @@ def compose(assets: Assets, rng: np.random.Generator, held_out: bool) -> World:
         instances += _scatter(assets, rng, terrain, layout, kind, count, spread)
     textures = [ground_texture(assets, rng) for _ in range(3)]
     material = Material(
-        textures[0][0], blend=(textures[1][0], textures[2][0]), tiles=tuple(tile for _, tile in textures)
+        textures[0][0], blend=(textures[1][0], textures[2][0]), tiles=(textures[0][1], textures[1][1], textures[2][1])
     )
     instances.append(Instance((terrain.mesh(material),), np.eye(4), None, _tint(rng)))
     fine = [n for n in assets.names("texture") if "uav_" not in n]

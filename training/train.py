@@ -67,9 +67,7 @@ def start(run: Path, device: torch.device) -> State:
     torch.manual_seed(0)
     network, ema = LCMMVSNet().to(device), LCMMVSNet().to(device)
     ema.load_state_dict(network.state_dict())
-    for net in (network, ema):
-        net.features.to(memory_format=torch.channels_last)
-        net.regularisers.to(memory_format=torch.channels_last_3d)
+    network, ema = network.channels_last(), ema.channels_last()
     state = State(network, ema, torch.optim.Adam(network.parameters(), lr=LEARNING_RATE))
     if (run / "state.pt").exists():
         saved = torch.load(run / "state.pt", map_location=device, weights_only=True)
@@ -142,7 +140,7 @@ def step(state: State, batch: dict[str, Tensor], horizon: int, bf16: bool) -> di
         outputs = state.network(*(batch[k] for k in ("images", "K", "cam_from_world", "near", "far", "scores")))
     loss = total_loss(outputs, t, valid)
     state.optimiser.zero_grad(set_to_none=True)
-    loss.backward()  # type: ignore[no-untyped-call]
+    loss.backward()
     norm = torch.nn.utils.clip_grad_norm_(state.network.parameters(), GRADIENT_NORM)
     if torch.isfinite(norm):  # a bad sample costs its step, not the run
         state.optimiser.step()

@@ -115,8 +115,7 @@ class DepthEstimator:
         self._workspace = workspace
         self._network = network.to(self.device).eval()
         if self.dtype == torch.bfloat16:
-            self._network.features.to(memory_format=torch.channels_last)
-            self._network.regularisers.to(memory_format=torch.channels_last_3d)
+            self._network.channels_last()
         self._features: OrderedDict[str, tuple[Tensor, ...]] = OrderedDict()
 
     @torch.inference_mode()

@@ -201,6 +201,12 @@ class LCMMVSNet(nn.Module):
         )
         self.alpha = nn.Parameter(torch.ones(3))  # alpha_l of Eq. 2
 
+    def channels_last(self) -> LCMMVSNet:
+        """Lay the convolutions out channels-last in place, which bf16 on CPUs wants; returns self."""
+        self.features.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.regularisers.to(memory_format=torch.channels_last_3d)  # type: ignore[call-overload]
+        return self
+
     def pyramid(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Features of (B,3,H,W) colours in [0, 1], by level 0, 1, 2."""
         features: tuple[Tensor, Tensor, Tensor] = self.features((images - 0.45) / 0.25)

@@ -50,7 +50,8 @@ def prepare_views(photo_set: PhotoSet, options: Options, workspace: Path, report
                 )
                 continue
             picture = f"undistorted/{image.name}.jpg"
-            rgb, K = undistort(images.read_rgb(photo.path), image.camera, options.image_size)
+            camera = model.cameras[image.camera_id]
+            rgb, K = undistort(images.read_rgb(photo.path), camera, options.image_size)
             images.write_jpeg(workspace / picture, rgb)
             near, far = depth_range(depths)
             scored = [(model.images[i].name, score) for i, score, _ in neighbours[image_id] if score > 0]

@@ -54,7 +54,8 @@ def load_network(path: Path | None = None) -> LCMMVSNet:
             f"The network's weights {weights} are corrupted (their checksum is wrong).", remedy=_REMEDY, path=weights
         )
     try:
-        config = NetworkConfig(**{k: tuple(v) if isinstance(v, list) else v for k, v in record["config"].items()})
+        fields: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in record["config"].items()}
+        config = NetworkConfig(**fields)
         network = LCMMVSNet(config)
         network.load_state_dict(safetensors.torch.load(content), strict=True)
     except (RuntimeError, TypeError, safetensors.SafetensorError) as error:

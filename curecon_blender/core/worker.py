@@ -35,6 +35,7 @@ EXIT_CODES = """exit codes:
                             130  cancelled
 """
 LIBRARIES = ("numpy", "PIL", "psutil", "cv2", "safetensors", "torch", "pycolmap")
+REQUIREMENTS = Path(__file__).resolve().parent.parent / "requirements.txt"
 PLAIN_LINE_EVERY = 10.0  # seconds between progress lines in a pipe
 ORPHAN_GRACE = 20.0  # seconds a worker may take to stop by itself once its parent is gone
 
@@ -91,7 +92,7 @@ def _require_libraries() -> None:
         except ImportError as error:
             raise SetupError(
                 f"The Python at {sys.executable} cannot load {name}: {error}",
-                remedy="Install CU-Recon's libraries into it (requirements.txt), or choose another Worker Python in "
+                remedy=f"Run {sys.executable} -m pip install -r {REQUIREMENTS}, or choose another Worker Python in "
                 "the add-on's preferences.", path=sys.executable,
             ) from error
 
