@@ -62,7 +62,7 @@ def test_photos_that_do_not_overlap(tmp_path: Path) -> None:
 def test_one_bad_photo_never_sinks_a_run(site_photos: Path, tmp_path: Path) -> None:
     photos = tmp_path / "photos"
     shutil.copytree(site_photos, photos)
-    whole = (photos / "DJI_0001.JPG").read_bytes()
+    whole = next(photos.iterdir()).read_bytes()
     (photos / "cut short.jpg").write_bytes(whole[: len(whole) // 3])
     (photos / "a text.jpg").write_text("not a photo")
     Image.new("RGB", (1, 1)).save(photos / "dot.png")
@@ -155,7 +155,13 @@ def own_weights(tmp_path: Path) -> Path:
 
 
 def with_weights(finished: tuple[Path, Run], site_photos: Path, weights: Path) -> Run:
-    return curecon("reconstruct", site_photos, "--workspace", finished[0], *QUICK, "--weights", weights)
+    """Run a copy of the finished job with other weights; its cloud and depth maps must be there afterwards."""
+    workspace = weights.parent / "w"
+    shutil.copytree(finished[0], workspace, dirs_exist_ok=True)
+    run = curecon("reconstruct", site_photos, "--workspace", workspace, *QUICK, "--weights", weights)
+    assert (workspace / "cloud.ply").read_bytes() == (finished[0] / "cloud.ply").read_bytes()
+    assert len(list((workspace / "depth").glob("*.npz"))) == len(list((finished[0] / "depth").glob("*.npz")))
+    return run
 
 
 def test_weights_that_are_missing(finished: tuple[Path, Run], site_photos: Path, own_weights: Path) -> None:

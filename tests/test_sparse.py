@@ -157,6 +157,21 @@ def test_without_gps_z_is_up_and_the_scale_is_said_to_be_unknown(site: Site, tmp
     assert np.degrees(np.arccos(up @ site.scene.rotations[image.name][:, 2])) < 4
 
 
+def test_a_model_that_contradicts_its_gps_is_warned_of_with_figures(site: Site, tmp_path: Path) -> None:
+    """A GPS track ten times the site's size, off by some 15 m: as a bent model stands against a true track."""
+    shutil.copytree(site.workspace / "sparse", tmp_path / "sparse")
+    noise = np.random.default_rng(2).normal(0, 15, (7, 3))
+    track = enu_to_geodetic(10 * np.array(list(site.scene.centres.values())) + noise, SITE)
+    photos = tuple(
+        replace(photo, gps=GeoPosition(latitude=p[0], longitude=p[1], altitude=p[2]))
+        for photo, p in zip(site.scene.photo_set.photos, track.tolist(), strict=True)
+    )
+    reporter = make_reporter()
+    frames = sparse.reconstruct(PhotoSet(photos=photos), make_options(tmp_path), tmp_path, reporter)
+    assert frames[0].gps_residual is not None and frames[0].gps_residual > 5
+    assert any(f"{frames[0].gps_residual:.1f} m (median)" in w and "bent" in w for w in reporter.warnings)
+
+
 def test_separate_sites_become_components_and_a_cancelled_job_goes_on(tmp_path: Path) -> None:
     """Two sites of 4 and 3 photos and one photo of a third, cancelled after three photos' features, then resumed."""
     groups = [make_scene(tmp_path / "photos", count, seed=seed, prefix=prefix)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pycolmap
 
-from .errors import SparseError
+from .errors import SparseError, WorkspaceError
 from .files import disk_errors
 from .georeference import FRAME_FILE, read_frame, write_frame
 from .messages import Reporter
@@ -192,12 +192,26 @@ def write_components(workspace: Path, components: list[tuple[pycolmap.Reconstruc
             shutil.rmtree(partial, ignore_errors=True)
             partial.mkdir()
             model.write_binary(partial)
+            _check_written(model, partial)
             write_frame(partial, frame)
         for old in sparse.iterdir():
             if old.name.isdigit():
                 shutil.rmtree(old)
         for index in range(len(components)):
             os.replace(sparse / f".{index}.partial", sparse / str(index))
+
+
+def _check_written(model: pycolmap.Reconstruction, folder: Path) -> None:
+    """Read a model back: pycolmap says nothing when the disk is full."""
+    try:
+        whole = pycolmap.Reconstruction(folder).num_points3D() == model.num_points3D()
+    except _READ_ERRORS:
+        whole = False
+    if not whole:
+        raise WorkspaceError(
+            f"The sparse model could not be written whole to {folder.parent}.",
+            remedy="Free some space, then run it again: finished work is kept.", path=folder.parent,
+        )
 
 
 def given_frame(folder: Path) -> Frame:

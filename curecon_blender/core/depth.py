@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import io
 import zipfile
 from collections import OrderedDict
 from dataclasses import dataclass
@@ -246,9 +247,12 @@ def estimate_depths(
                     reporter.warning(f"{view.name} has no suitable neighbour; it gets no depth.", view.name)
                     depth = np.zeros((view.height, view.width), np.float32)
                     confidence = np.zeros((view.height, view.width), np.float16)
+                # By way of memory: a zip that meets a full disk half-way complains a second time when it is closed.
+                content = io.BytesIO()
+                np.savez(content, depth=depth, confidence=confidence, K=view.K, cam_from_world=view.cam_from_world,
+                         key=np.array(key))
                 with atomic_write(path) as file:
-                    np.savez(file, depth=depth, confidence=confidence, K=view.K, cam_from_world=view.cam_from_world,
-                             key=np.array(key))
+                    file.write(content.getbuffer())
             done += 1
             reporter.progress(done, total, fresh=fresh)
 

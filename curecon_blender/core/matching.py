@@ -12,7 +12,7 @@ import json
 import os
 import sqlite3
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -26,10 +26,10 @@ import numpy as np
 import pycolmap
 import torch
 
-from .errors import WorkspaceError
+from .errors import PhotoError, WorkspaceError
 from .files import disk_errors, write_json
 from .georeference import SHORTEST_BASELINE, gimbal_rotation, gps_enu
-from .images import read_rgb
+from .images import read_rgb, shown
 from .types import Photo
 
 MAX_THREADS = 16
@@ -82,18 +82,25 @@ def open_database(path: Path, photos: tuple[Photo, ...], settings: FeatureSettin
     wanted["photos"] = {**known.get("photos", {}), **wanted["photos"]}
     write_json(record, wanted)
     try:
-        database = pycolmap.Database.open(path)
+        with pycolmap.Database.open(path) as database:
+            yield database
     except RuntimeError as error:
+        if "SQLite" not in str(error) and "database" not in str(error):
+            raise
         raise WorkspaceError(
-            f"The feature database {path} could not be opened.",
-            remedy="Choose a workspace folder on a local disk that you may write to.", path=path,
+            f"The feature database {path} could not be written ({error}).",
+            remedy="Free some space, or choose a workspace folder on a local disk that you may write to.", path=path,
         ) from error
-    with database:
-        yield database
 
 
 def _fingerprint(photo: Photo) -> list[Any]:
-    status = photo.path.stat()
+    try:
+        status = photo.path.stat()
+    except OSError as error:
+        raise PhotoError(
+            f"{shown(photo.path)} is not there any more.",
+            remedy="Put the photo back where it was, or check the photos again.", path=photo.path,
+        ) from error
     return [status.st_size, status.st_mtime_ns, photo.width, photo.height, photo.camera, photo.focal_px]
 
 
@@ -149,18 +156,19 @@ def extract_features(
         return matrix, descriptors
 
     missing = missing_features(database, photos)
-    for photo, (keypoints, descriptors) in _in_order(extract, missing, _extraction_workers(settings.image_size)):
-        camera = cameras[_camera_key(photo)]
-        with pycolmap.DatabaseTransaction(database):
-            image = pycolmap.Image(name=photo.name, camera_id=camera.camera_id)
-            image.image_id = database.write_image(image)
-            frame = pycolmap.Frame()
-            frame.rig_id = rigs[camera.camera_id]
-            frame.add_data_id(image.data_id)
-            database.write_frame(frame)
-            database.write_keypoints(image.image_id, keypoints)
-            database.write_descriptors(image.image_id, descriptors)
-        step()
+    with closing(_in_order(extract, missing, _extraction_workers(settings.image_size))) as extracted:
+        for photo, (keypoints, descriptors) in extracted:
+            camera = cameras[_camera_key(photo)]
+            with pycolmap.DatabaseTransaction(database):
+                image = pycolmap.Image(name=photo.name, camera_id=camera.camera_id)
+                image.image_id = database.write_image(image)
+                frame = pycolmap.Frame()
+                frame.rig_id = rigs[camera.camera_id]
+                frame.add_data_id(image.data_id)
+                database.write_frame(frame)
+                database.write_keypoints(image.image_id, keypoints)
+                database.write_descriptors(image.image_id, descriptors)
+            step()
 
 
 def _extractor(max_features: int) -> pycolmap.FeatureExtractor:
@@ -179,7 +187,7 @@ def _extraction_workers(image_size: int) -> int:
 
 def _in_order(
     function: Callable[[Item], Value], items: Iterable[Item], workers: int
-) -> Iterator[tuple[Item, Value]]:
+) -> Generator[tuple[Item, Value], None, None]:
     """`function` of every item, in order, computed `workers` at a time and never far ahead of the consumer."""
     left = iter(items)
     with ThreadPoolExecutor(workers) as pool:
@@ -371,8 +379,8 @@ def match_pairs(
         return pycolmap.estimate_two_view_geometry(camera1, keypoints1, camera2, keypoints2, matches, options)
 
     tasks = (_Task(pair=pair, first=features(pair[0]), second=features(pair[1])) for pair in pairs)
-    with _one_thread_a_task():
-        for task, geometry in _in_order(verified, tasks, threads()):
+    with _one_thread_a_task(), closing(_in_order(verified, tasks, threads())) as results:
+        for task, geometry in results:
             with pycolmap.DatabaseTransaction(database):
                 database.write_two_view_geometry(ids[task.pair[0]], ids[task.pair[1]], geometry)
             step()

@@ -23,7 +23,8 @@ from .options import PRESETS, STAGES, Options
 from .types import Component, GeoPosition, Gimbal, Photo, PhotoSet, SkippedPhoto
 from .workspace import StageRecord, Workspace, folder_bytes, key_of
 
-BYTES_PER_DEPTH_PIXEL = 6.8  # a depth map's file and its undistorted picture, per pixel
+FEATURE_BYTES_PER_PHOTO = 3 << 20  # features and matches in COLMAP's database
+BYTES_PER_DEPTH_PIXEL = 11.0  # a depth map's file, its undistorted picture and fusion's scratch, per pixel
 
 
 def reconstruct(options: Options, reporter: Reporter) -> dict[str, Any]:
@@ -86,6 +87,8 @@ class _Job:
         inputs["image_size"] = options.preset.sfm_image_size
 
         def run() -> None:
+            # The database ends the process when its disk is full, so what it may need is asked for beforehand.
+            self.workspace.require_space(len(self.photo_set.photos) * FEATURE_BYTES_PER_PHOTO + self._depth_bytes())
             if options.model:
                 sparse.import_model(options.model, self.photo_set, options, self.workspace.root, self.reporter)
             else:
