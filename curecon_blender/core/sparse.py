@@ -281,7 +281,7 @@ def _warn_of_gps(placement: georeference.Placement, photos: int, index: int, rep
     ]
     if far:
         reporter.warning(
-            f"{len(far)} photos lie far from their GPS, against a median of {residual:.1f} m: "
+            f"{len(far)} of {photos} photos lie far from their GPS, against a median of {residual:.1f} m: "
             f"{colmap_model.listed(far)}. Their GPS is wrong, or they were joined to the wrong place: check them."
         )
 
