@@ -8,7 +8,8 @@ PHOTOS ?= samples/tulou/photos
 QUALITY ?= standard
 NAME = $(if $(filter samples/tulou/photos,$(PHOTOS)),tulou,$(shell basename "$(abspath $(PHOTOS))"))
 OUT ?= demo/$(NAME)
-PYTHON313 ?= $(shell command -v python3.13 || ls -d $$HOME/.pyenv/versions/3.13*/bin/python 2>/dev/null | tail -n 1)
+# The first Python 3.13 that really starts: a version manager's placeholder does not.
+PYTHON313 ?= $(shell for p in python3.13 $$HOME/.pyenv/versions/3.13*/bin/python; do "$$p" -c "" 2>/dev/null && echo "$$p" && break; done)
 VENV = .venv/bin/python
 export PYTHONPATH := $(CURDIR)
 
