@@ -89,10 +89,10 @@ def main() -> None:
     measured = {"epe": errors.mean().item(), "e1": (errors > 1).float().mean().item() * 100,
                 "e3": (errors > 3).float().mean().item() * 100}
     measured = {name: round(value, 3) for name, value in measured.items()}
-    facts = {"samples": state.samples, "steps": state.steps,
+    facts = {"samples": state.earlier + state.samples, "steps": state.steps,
              "held_out": {**measured, "crops": options.samples, "size": list(SIZE), "sources": options.sources}}
     save_network(network, options.out, facts)
-    print(f"{options.out}: {state.samples} samples seen; on held-out scenes {measured}")
+    print(f"{options.out}: {state.earlier + state.samples} samples seen; on held-out scenes {measured}")
 
 
 if __name__ == "__main__":

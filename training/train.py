@@ -44,8 +44,9 @@ class State:
     network: LCMMVSNet
     ema: LCMMVSNet
     optimiser: torch.optim.Optimizer
-    samples: int = 0
+    samples: int = 0  # since the schedule began
     steps: int = 0
+    earlier: int = 0  # samples seen before the schedule began anew (--restart)
 
 
 def batch_tensors(samples: list[Sample], device: torch.device) -> dict[str, Tensor]:
@@ -74,15 +75,23 @@ def start(run: Path, device: torch.device) -> State:
         network.load_state_dict(saved["network"])
         ema.load_state_dict(saved["ema"])
         state.optimiser.load_state_dict(saved["optimiser"])
-        state.samples, state.steps = saved["samples"], saved["steps"]
+        state.samples, state.steps, state.earlier = saved["samples"], saved["steps"], saved["earlier"]
     return state
+
+
+def restart(state: State) -> None:
+    """Begin the schedule anew from the averaged weights, with a fresh optimiser."""
+    state.network.load_state_dict(state.ema.state_dict())
+    state.optimiser = torch.optim.Adam(state.network.parameters(), lr=LEARNING_RATE)
+    state.earlier, state.samples = state.earlier + state.samples, 0
 
 
 def save(state: State, run: Path) -> None:
     partial = run / "state.pt.partial"
     torch.save(
         {"network": state.network.state_dict(), "ema": state.ema.state_dict(),
-         "optimiser": state.optimiser.state_dict(), "samples": state.samples, "steps": state.steps}, partial,
+         "optimiser": state.optimiser.state_dict(), "samples": state.samples, "steps": state.steps,
+         "earlier": state.earlier}, partial,
     )
     partial.replace(run / "state.pt")
 
@@ -165,12 +174,15 @@ def main() -> None:
     parser.add_argument("--samples-per-scene", type=int, default=3)
     parser.add_argument("--pool", type=int, default=400, help="scenes kept on disk")
     parser.add_argument("--renderers", type=int, default=1, help="processes that render new scenes")
+    parser.add_argument("--restart", action="store_true", help="begin the schedule anew from the averaged weights")
     parser.add_argument("--device", default="auto")
     options = parser.parse_args()
     device = torch.device("cuda" if options.device == "auto" and torch.cuda.is_available() else
                           "cpu" if options.device == "auto" else options.device)
     options.run.mkdir(parents=True, exist_ok=True)
     state = start(options.run, device)
+    if options.restart:
+        restart(state)
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
@@ -180,7 +192,7 @@ def main() -> None:
     count = 0
     with ScenePool(options.run / "scenes", options.assets, options.pool, options.renderers) as pool, \
             open(options.run / "log.jsonl", "a") as log:
-        feeder = threading.Thread(target=feed, args=(pool, batches, stop, options, state.samples), daemon=True)
+        feeder = threading.Thread(target=feed, args=(pool, batches, stop, options, state.steps), daemon=True)
         feeder.start()
         while not stop.is_set() and time.monotonic() - began < options.minutes * 60:
             try:
@@ -204,7 +216,7 @@ def main() -> None:
                 saved = time.monotonic()
         stop.set()
         save(state, options.run)
-    print(f"{state.samples} samples seen; state in {options.run / 'state.pt'}")
+    print(f"{state.earlier + state.samples} samples seen; state in {options.run / 'state.pt'}")
 
 
 if __name__ == "__main__":

@@ -81,8 +81,9 @@ def _conv2d(inputs: int, outputs: int, kernel: int = 3, stride: int = 1) -> nn.S
 
 
 def _conv3d(inputs: int, outputs: int, stride: int = 1) -> nn.Sequential:
+    kernel = 4 if stride == 2 else 3  # as in two dimensions; an odd kernel would pull depth off by half a hypothesis
     return nn.Sequential(
-        nn.Conv3d(inputs, outputs, 3, stride, 1, bias=False), nn.BatchNorm3d(outputs), nn.ReLU(inplace=True)
+        nn.Conv3d(inputs, outputs, kernel, stride, 1, bias=False), nn.BatchNorm3d(outputs), nn.ReLU(inplace=True)
     )
 
 
@@ -261,15 +262,24 @@ class LCMMVSNet(nn.Module):
         near: Tensor,
         far: Tensor,
         scores: Tensor,
+        coarse_hypotheses: int | None = None,
     ) -> list[LevelOutput]:
-        """`forward` from ready features, by level 0, 1, 2, of each view."""
+        """`forward` from ready features, by level 0, 1, 2, of each view.
+
+        `coarse_hypotheses` (a multiple of 8) replaces the coarsest level's number; all intervals shrink with it.
+        """
+        coarse = coarse_hypotheses or self.config.hypotheses[2]
         weights = scores / scores.sum(1, keepdim=True)
         src_from_ref = [relative_pose(cam_from_world[:, i + 1], cam_from_world[:, 0]) for i in range(len(sources))]
         outputs: list[LevelOutput] = []
         for level in LEVELS:
             h, w = reference[level].shape[2:]
-            first = self._first_hypothesis(level, outputs, h, w, reference[level])
-            interval, m = self.config.interval(level), self.config.hypotheses[level]
+            interval = self.config.interval(level) * self.config.hypotheses[2] / coarse
+            m = self.config.hypotheses[level] if outputs else coarse
+            if outputs:  # a window around the upsampled coarser estimate
+                first = (upsample(outputs[-1].t.detach()) - m * interval / 2).clamp(0.0, 1.0 - m * interval)
+            else:
+                first = torch.zeros(reference[level].shape[0], 1, h, w, device=reference[level].device)
             steps = torch.arange(m, device=first.device, dtype=first.dtype).view(1, m, 1, 1) * interval
             inverse_depth = 1.0 / depth_from_t(first + steps, near, far)
             K_level = level_intrinsics(K, level)
@@ -292,13 +302,6 @@ class LCMMVSNet(nn.Module):
             share = F.interpolate(output.share, (height, width), mode="bilinear", align_corners=False)
             total += weights[level] * torch.logit(share, eps=1e-4)
         return torch.sigmoid(total)
-
-    def _first_hypothesis(self, level: int, outputs: list[LevelOutput], h: int, w: int, like: Tensor) -> Tensor:
-        """t (B,1,h,w) of a level's first hypothesis: 0, or half a window before the upsampled coarser estimate."""
-        if not outputs:
-            return torch.zeros(like.shape[0], 1, h, w, device=like.device)
-        window = self.config.hypotheses[level] * self.config.interval(level)
-        return (upsample(outputs[-1].t.detach()) - window / 2).clamp(0.0, 1.0 - window)
 
 
 def relative_pose(cam_from_world: Tensor, ref_from_world: Tensor) -> Tensor:
