@@ -30,8 +30,12 @@ SOURCE_MARGIN = 32  # pixels of context kept around what a tile can see in a sou
 # Peak memory of one tile, measured on a CPU (benchmarks/depth.py): fixed, per pixel of the tile, and per pixel of
 # each of its sources.
 BASE_BYTES = 500 << 20
-BYTES_PER_PIXEL = 1500
+BYTES_PER_HYPOTHESIS = 100  # and pixel of the photo
 BYTES_PER_SOURCE_PIXEL = 180
+# The photo size, in pixels, for which the network's coarsest hypotheses are as dense as in training. A larger photo
+# gets more of them, so that neighbouring hypotheses stay as far apart in its pixels.
+TRAINED_SIZE = 600
+MAX_COARSE_HYPOTHESES = 256
 
 
 @dataclass(frozen=True)
@@ -75,6 +79,17 @@ def memory_budget(options: Options, device: torch.device) -> int:
     return int(0.6 * psutil.virtual_memory().available)
 
 
+def coarse_hypotheses(width: int, height: int) -> int:
+    """How many hypotheses the coarsest level sweeps for a photo of this size: a multiple of 8."""
+    wanted = 8 * round(6 * max(width, height) / TRAINED_SIZE)
+    return min(max(wanted, 48), MAX_COARSE_HYPOTHESES)
+
+
+def bytes_per_pixel(width: int, height: int) -> int:
+    """Peak memory for each pixel of a tile of a photo of this size: the three levels' hypotheses, per photo pixel."""
+    return BYTES_PER_HYPOTHESIS * (8 + 4 + coarse_hypotheses(width, height) // 16)
+
+
 def plan_tiles(width: int, height: int, sources: int, budget: int) -> list[Tile]:
     """The fewest equal tiles, as square as can be, that each fit `budget` bytes. Raises DeviceError when not even
     a small tile fits."""
@@ -82,7 +97,8 @@ def plan_tiles(width: int, height: int, sources: int, budget: int) -> list[Tile]
         tile_width, tile_height = _tile_side(width, columns), _tile_side(height, rows)
         # A tile of a cut-up photo sees, in each source, more than its own area: its whole epipolar band.
         seen = min(width * height, 3 * tile_width * tile_height) if columns * rows > 1 else width * height
-        if BASE_BYTES + tile_width * tile_height * BYTES_PER_PIXEL + sources * seen * BYTES_PER_SOURCE_PIXEL <= budget:
+        own = tile_width * tile_height * bytes_per_pixel(width, height)
+        if BASE_BYTES + own + sources * seen * BYTES_PER_SOURCE_PIXEL <= budget:
             return [
                 Tile(x, y, min(x + tile_width, width), min(y + tile_height, height))
                 for y in _starts(height, tile_height, rows) for x in _starts(width, tile_width, columns)
@@ -159,7 +175,7 @@ class DepthEstimator:
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.dtype == torch.bfloat16):
             outputs = self._network.sweep(
                 features[0], features[1:], tensor(K), tensor(poses), near, far,
-                tensor(np.array([score for _, score in sources])),
+                tensor(np.array([score for _, score in sources])), coarse_hypotheses(view.width, view.height),
             )
         depth, confidence = depth_from_t(outputs[-1].t, near, far), self._network.confidence(outputs)
         height, width = tile.y1 - tile.y0, tile.x1 - tile.x0
