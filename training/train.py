@@ -25,6 +25,7 @@ import torch
 from torch import Tensor
 
 from curecon_blender.core.network import LCMMVSNet, t_from_depth
+from curecon_blender.core.weights import describe, load_network
 from training.dataset import Sample, training_sample
 from training.generator import load
 from training.losses import total_loss
@@ -63,8 +64,8 @@ def batch_tensors(samples: list[Sample], device: torch.device) -> dict[str, Tens
     }
 
 
-def start(run: Path, device: torch.device) -> State:
-    """The run's state from state.pt, or a new one."""
+def start(run: Path, device: torch.device, weights: Path | None = None) -> State:
+    """The run's state from state.pt, or a new one: from a weights file, or from nothing."""
     torch.manual_seed(0)
     network, ema = LCMMVSNet().to(device), LCMMVSNet().to(device)
     ema.load_state_dict(network.state_dict())
@@ -76,6 +77,10 @@ def start(run: Path, device: torch.device) -> State:
         ema.load_state_dict(saved["ema"])
         state.optimiser.load_state_dict(saved["optimiser"])
         state.samples, state.steps, state.earlier = saved["samples"], saved["steps"], saved["earlier"]
+    elif weights is not None:
+        network.load_state_dict(load_network(weights).state_dict())
+        ema.load_state_dict(network.state_dict())
+        state.earlier = describe(weights)["samples"]
     return state
 
 
@@ -174,13 +179,14 @@ def main() -> None:
     parser.add_argument("--samples-per-scene", type=int, default=3)
     parser.add_argument("--pool", type=int, default=400, help="scenes kept on disk")
     parser.add_argument("--renderers", type=int, default=1, help="processes that render new scenes")
+    parser.add_argument("--weights", type=Path, help="begin a new run with these weights (.safetensors)")
     parser.add_argument("--restart", action="store_true", help="begin the schedule anew from the averaged weights")
     parser.add_argument("--device", default="auto")
     options = parser.parse_args()
     device = torch.device("cuda" if options.device == "auto" and torch.cuda.is_available() else
                           "cpu" if options.device == "auto" else options.device)
     options.run.mkdir(parents=True, exist_ok=True)
-    state = start(options.run, device)
+    state = start(options.run, device, options.weights)
     if options.restart:
         restart(state)
     stop = threading.Event()
