@@ -97,22 +97,18 @@ class WorkerOperator:
     """Runs a worker: modal in a window, blocking in background Blender and when a script calls it.
 
     A subclass gives `task`, `arguments` and `done`; both may raise CuReconError, which is reported with its remedy.
+    `done` takes in the worker's result and returns the report for the user.
     """
 
     task = ""
+    arguments: Callable[[bpy.types.Context], list[str]]
+    done: Callable[[bpy.types.Context, bpy.types.Scene, dict[str, Any]], str]
     report: Callable[[set[str], str], None]  # Blender's, of the operator that this is mixed into
     _timer: bpy.types.Timer | None = None
 
     def workspace(self, context: bpy.types.Context) -> Path | None:
         """The job's workspace folder, if it has one."""
         return None
-
-    def arguments(self, context: bpy.types.Context) -> list[str]:
-        raise NotImplementedError
-
-    def done(self, context: bpy.types.Context, scene: bpy.types.Scene, summary: dict[str, Any]) -> str:
-        """Take in the worker's result; returns the report for the user."""
-        raise NotImplementedError
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
