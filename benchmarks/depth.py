@@ -33,7 +33,8 @@ def measure(width: int, height: int, sources: int, device: str, precision: str, 
         for i in range(sources + 1):
             pixels = np.random.default_rng(i).integers(0, 255, (height, width, 3), np.uint8)
             images.write_jpeg(Path(folder) / f"{i}.jpg", pixels)
-            pose = np.column_stack([np.eye(3), [0.3 * i, 0.0, 0.0]])
+            # As far apart as an orbit's neighbours: it decides how many hypotheses the sweep needs.
+            pose = np.column_stack([np.eye(3), [1.2 * i, 0.0, 0.0]])
             K = np.array([[0.8 * width, 0, width / 2], [0, 0.8 * width, height / 2], [0, 0, 1]])
             views.append(View(name=str(i), image=f"{i}.jpg", width=width, height=height, K=K, cam_from_world=pose,
                               near=5.0, far=25.0, sources=()))
@@ -46,7 +47,8 @@ def measure(width: int, height: int, sources: int, device: str, precision: str, 
             wall, cpu = time.perf_counter(), time.process_time()
             estimator.estimate(views[0], [(view, 1.0) for view in views[1:]])
             wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-        tiles = len(plan_tiles(width, height, sources, estimator.budget))
+        hypotheses = estimator.coarse_hypotheses(views[0], views[1:])
+        tiles = len(plan_tiles(width, height, sources, hypotheses, estimator.budget))
         print(f"{width}x{height}  N={sources}  {str(estimator.dtype)[6:]:8}  {tiles:3} tiles  {wall:6.1f} s  "
               f"{cpu:6.1f} CPU s  {(peak.bytes - before.bytes) / 2**30:5.2f} GiB", flush=True)
 

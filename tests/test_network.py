@@ -15,8 +15,10 @@ from curecon_blender.core.depth import DepthEstimator, Tile, plan_tiles, visible
 from curecon_blender.core.errors import DeviceError
 from curecon_blender.core.matching_scores import depth_range, matching_score
 from curecon_blender.core.network import (
+    PAPER,
     LCMMVSNet,
-    decode,
+    decode_linear,
+    decode_unified,
     depth_from_t,
     homography_terms,
     relative_pose,
@@ -25,7 +27,7 @@ from curecon_blender.core.network import (
 )
 from curecon_blender.core.options import Options
 from curecon_blender.core.weights import load_network
-from training.losses import unified_label
+from training.losses import linear_label, unified_label
 
 
 def tensor(values: np.ndarray) -> torch.Tensor:
@@ -42,7 +44,7 @@ def test_a_source_warped_at_the_true_depth_is_the_reference() -> None:
         """Median difference in grey levels, with the source's principal point moved by so many pixels."""
         K = source.K + np.array([[0, 0, shift_u], [0, 0, shift_v], [0, 0, 0]])
         terms = homography_terms(tensor(reference.K), tensor(K), pose, *depth.shape)
-        warped = warp(tensor(other.transpose(2, 0, 1)), *terms, tensor(1 / np.maximum(depth, 1e-3)[None]))
+        warped, _ = warp(tensor(other.transpose(2, 0, 1)), *terms, tensor(1 / np.maximum(depth, 1e-3)[None]))
         return float(np.median(np.abs(warped[0, :, 0].numpy().transpose(1, 2, 0) - picture)[depth > 0]))
 
     exact = difference(0, 0)
@@ -55,9 +57,45 @@ def test_label_and_decoder_agree_to_the_last_digit() -> None:
     first, interval, count = torch.tensor(0.2).view(1, 1, 1, 1).expand(1, 1, 1, 200), 0.01, 16
     t = torch.linspace(0.2001, 0.3599, 200).view(1, 1, 1, 200)
     label = unified_label(t, first, interval, count)
-    decoded, share = decode(torch.logit(label.clamp(1e-6, 1 - 1e-6)), first, interval)
+    decoded, share = decode_unified(torch.logit(label.clamp(1e-6, 1 - 1e-6)), first, interval)
     torch.testing.assert_close(decoded, t, atol=1e-5, rtol=0)
     assert (share[label.max(1, keepdim=True).values > 0.05] > 0.99).all()  # small labels are no less sure
+
+    inner = (t > 0.2 + interval / 2) & (t < 0.2 + (count - 0.5) * interval)
+    label = linear_label(t, first, interval, count)
+    torch.testing.assert_close(label.sum(1, keepdim=True), torch.ones_like(t))
+    decoded, share = decode_linear(torch.log(label.clamp_min(1e-9)), first, interval)
+    torch.testing.assert_close(decoded[inner], t[inner], atol=1e-5, rtol=0)
+    assert (share > 0.99).all()
+
+
+@pytest.mark.parametrize("spread", [0.5, 1.0])
+def test_a_network_that_is_unsure_is_not_pulled_to_one_side(spread: float) -> None:
+    """Depths are uncertain by `spread` hypotheses about the truth; the decoder gets the labels' expectation."""
+    first, interval, count = torch.zeros(1, 1, 1, 400), 1.0, 16
+    true = torch.linspace(6, 10, 400).view(1, 1, 1, 400)
+    offsets = torch.linspace(-3, 3, 121)
+    weights = torch.exp(-0.5 * (offsets / spread) ** 2)
+    labels = sum(w * linear_label(true + o * interval, first, interval, count)
+                 for o, w in zip(offsets, weights, strict=True)) / weights.sum()
+    decoded, _ = decode_linear(torch.log(labels.clamp_min(1e-9)), first, interval)
+    assert abs((decoded - true).mean().item()) < 0.02
+    assert (decoded - true).abs().max().item() < 0.25
+
+
+def test_hypotheses_are_a_pixel_apart_whatever_the_photo_size() -> None:
+    network = LCMMVSNet()
+    views = [make_view(i, 24) for i in (0, 1, 2)]
+    near, far = torch.tensor([1.0]), torch.tensor([15.0])
+    counts = []
+    for scale in (1.0, 2.0, 3.0):
+        K = tensor(np.stack([np.diag([scale, scale, 1]) @ v.K for v in views]))
+        poses = tensor(np.stack([v.cam_from_world for v in views]))
+        size = (round(views[0].width * scale), round(views[0].height * scale))
+        counts.append(network.coarse_hypotheses(K, poses, near, far, size))
+    assert all(c % 8 == 0 for c in counts)
+    assert counts[1] == pytest.approx(2 * counts[0], abs=8) and counts[2] == pytest.approx(3 * counts[0], abs=16)
+    assert LCMMVSNet(PAPER).coarse_hypotheses(K, poses, near, far, size) == 48
 
 
 def test_sweep_coordinate_and_depth_are_inverse_and_rise_together() -> None:
@@ -131,13 +169,13 @@ def test_tiles_cover_the_photo_within_the_budget() -> None:
     for width, height in ((800, 600), (8000, 6000), (321, 1999)):
         for budget in (900 << 20, 4 << 30):
             covered = np.zeros((height, width), bool)
-            tiles = plan_tiles(width, height, 4, budget)
+            tiles = plan_tiles(width, height, 4, 96, budget)
             for tile in tiles:
                 assert tile.x0 >= 0 and tile.y0 >= 0 and tile.x1 <= width and tile.y1 <= height
                 covered[tile.y0 : tile.y1, tile.x0 : tile.x1] = True
             assert covered.all()
     with pytest.raises(DeviceError, match="too small"):
-        plan_tiles(8000, 6000, 4, 100 << 20)
+        plan_tiles(8000, 6000, 4, 96, 100 << 20)
 
 
 def test_a_tile_takes_from_a_source_all_that_it_can_see() -> None:

@@ -41,8 +41,8 @@ def look_at(centre: np.ndarray, target: np.ndarray, roll: float) -> np.ndarray:
 
 
 def _step(rng: np.random.Generator) -> float:
-    """Angle between neighbours in radians: mostly 3 to 20 degrees, some up to 35."""
-    degrees = rng.uniform(20, 33) if rng.random() < 0.1 else rng.uniform(3, 18)
+    """Angle between neighbours in radians: mostly 3 to 18 degrees, one in five up to 33."""
+    degrees = rng.uniform(18, 33) if rng.random() < 0.2 else rng.uniform(3, 18)
     return float(np.radians(degrees))
 
 

@@ -91,6 +91,13 @@ def training_sample(scene: Scene, rng: np.random.Generator, sources: int, size: 
         images.append(image[corner[1] : corner[1] + size[1], corner[0] : corner[0] + size[0]])
         K[:2, 2] -= corner
         intrinsics.append(K)
+    for axis in (1, 2):  # mirror all views: a mirrored world, which a negative focal length describes
+        if rng.random() < 0.5:
+            images = [np.flip(image, axis - 1) for image in images]
+            crop = np.flip(crop, axis - 1)
+            mirror = np.eye(3)
+            mirror[2 - axis, 2 - axis], mirror[2 - axis, 2] = -1, size[2 - axis]
+            intrinsics = [mirror @ K for K in intrinsics]
     return Sample(
         np.stack(images), np.stack(intrinsics).astype(np.float32), scene.cam_from_world[views].astype(np.float32),
         np.array([score for _, score in scored], np.float32), crop, near, far,

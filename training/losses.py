@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The unified focal loss on each level's probability volume, as UniMVSNet defines it."""
+"""Losses on each level's probability volume: cross-entropy with linear labels, or UniMVSNet's unified focal loss."""
 
 from __future__ import annotations
 
@@ -43,11 +43,31 @@ def unified_focal_loss(output: LevelOutput, t: Tensor, valid: Tensor, level: int
     return (per_pixel * valid).sum() / valid.sum().clamp_min(1)
 
 
-def total_loss(outputs: list[LevelOutput], t: Tensor, valid: Tensor) -> Tensor:
-    """Levels together; `t`, `valid` (B,1,H,W) at full resolution."""
+def linear_label(t: Tensor, first: Tensor, interval: float, count: int) -> Tensor:
+    """Labels (B,M,h,w) that sum to 1: t split between the two hypotheses (in the middle of their intervals) beside it,
+    in proportion to how near they are."""
+    index = torch.arange(count, device=t.device, dtype=t.dtype).view(1, count, 1, 1)
+    position = ((t - first) / interval - 0.5).clamp(0, count - 1)
+    return (1 - (position - index).abs()).clamp_min(0)
+
+
+def cross_entropy(output: LevelOutput, t: Tensor, valid: Tensor) -> Tensor:
+    """Scalar loss of one level over the pixels whose depth its hypotheses reach; arguments as unified_focal_loss."""
+    count = output.logits.shape[1]
+    reached = valid & (t >= output.first) & (t < output.first + count * output.interval)
+    label = linear_label(t, output.first, output.interval, count)
+    per_pixel = -(label * F.log_softmax(output.logits, 1)).sum(1, keepdim=True)
+    return (per_pixel * reached).sum() / valid.sum().clamp_min(1)
+
+
+def total_loss(outputs: list[LevelOutput], t: Tensor, valid: Tensor, representation: str) -> Tensor:
+    """Levels together; `t`, `valid` (B,1,H,W) at full resolution; `representation` as in NetworkConfig."""
     loss = t.new_zeros(())
     for level, output in zip((2, 1, 0), outputs, strict=True):
         step = 2**level
         pick = (..., slice(step // 2, None, step), slice(step // 2, None, step))  # a pixel beside the level's centre
-        loss = loss + LEVEL_WEIGHT[level] * unified_focal_loss(output, t[pick], valid[pick], level)
+        if representation == "linear":
+            loss = loss + cross_entropy(output, t[pick], valid[pick])
+        else:
+            loss = loss + LEVEL_WEIGHT[level] * unified_focal_loss(output, t[pick], valid[pick], level)
     return loss

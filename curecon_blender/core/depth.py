@@ -21,7 +21,7 @@ from . import images
 from .errors import DeviceError
 from .files import atomic_write
 from .messages import Reporter
-from .network import MULTIPLE, LCMMVSNet, depth_from_t
+from .network import FEWEST_HYPOTHESES, MOST_HYPOTHESES, MULTIPLE, LCMMVSNet, depth_from_t
 from .options import Options
 from .types import Component, View
 
@@ -32,10 +32,6 @@ SOURCE_MARGIN = 32  # pixels of context kept around what a tile can see in a sou
 BASE_BYTES = 500 << 20
 BYTES_PER_HYPOTHESIS = 100  # and pixel of the photo
 BYTES_PER_SOURCE_PIXEL = 180
-# The photo size, in pixels, for which the network's coarsest hypotheses are as dense as in training. A larger photo
-# gets more of them, so that neighbouring hypotheses stay as far apart in its pixels.
-TRAINED_SIZE = 600
-MAX_COARSE_HYPOTHESES = 256
 
 
 @dataclass(frozen=True)
@@ -79,25 +75,26 @@ def memory_budget(options: Options, device: torch.device) -> int:
     return int(0.6 * psutil.virtual_memory().available)
 
 
-def coarse_hypotheses(width: int, height: int) -> int:
-    """How many hypotheses the coarsest level sweeps for a photo of this size: a multiple of 8."""
-    wanted = 8 * round(6 * max(width, height) / TRAINED_SIZE)
-    return min(max(wanted, 48), MAX_COARSE_HYPOTHESES)
+def bytes_per_pixel(hypotheses: int) -> int:
+    """Peak memory for each pixel of a tile, with so many hypotheses at the coarsest level (a sixteenth of the pixels,
+    where the middle one has 16 for a quarter and the finest 8 for all of them)."""
+    return BYTES_PER_HYPOTHESIS * (8 + 4 + hypotheses // 16)
 
 
-def bytes_per_pixel(width: int, height: int) -> int:
-    """Peak memory for each pixel of a tile of a photo of this size: the three levels' hypotheses, per photo pixel."""
-    return BYTES_PER_HYPOTHESIS * (8 + 4 + coarse_hypotheses(width, height) // 16)
+def typical_hypotheses(size: int) -> int:
+    """What the coarsest level wants of a photo of so many pixels on its longer side, before its sources are known:
+    between two photos of an orbit, things move by half a photo's width at most."""
+    return min(max(size // 8, FEWEST_HYPOTHESES), MOST_HYPOTHESES)
 
 
-def plan_tiles(width: int, height: int, sources: int, budget: int) -> list[Tile]:
-    """The fewest equal tiles, as square as can be, that each fit `budget` bytes. Raises DeviceError when not even
-    a small tile fits."""
+def plan_tiles(width: int, height: int, sources: int, hypotheses: int, budget: int) -> list[Tile]:
+    """The fewest equal tiles, as square as can be, that each fit `budget` bytes with so many hypotheses at the coarsest
+    level. Raises DeviceError when not even a small tile fits."""
     for columns, rows in sorted(product(range(1, 65), repeat=2), key=lambda n: (n[0] * n[1], abs(n[0] - n[1]))):
         tile_width, tile_height = _tile_side(width, columns), _tile_side(height, rows)
         # A tile of a cut-up photo sees, in each source, more than its own area: its whole epipolar band.
         seen = min(width * height, 3 * tile_width * tile_height) if columns * rows > 1 else width * height
-        own = tile_width * tile_height * bytes_per_pixel(width, height)
+        own = tile_width * tile_height * bytes_per_pixel(hypotheses)
         if BASE_BYTES + own + sources * seen * BYTES_PER_SOURCE_PIXEL <= budget:
             return [
                 Tile(x, y, min(x + tile_width, width), min(y + tile_height, height))
@@ -145,9 +142,10 @@ class DepthEstimator:
         confidence = np.zeros((view.height, view.width), np.float16)
         largest = max((v.width * v.height for v, _ in sources), default=0)
         scale = max(1.0, largest / (view.width * view.height))
-        tiles = plan_tiles(view.width, view.height, max(1, round(len(sources) * scale)), self.budget)
+        hypotheses = self.coarse_hypotheses(view, [source for source, _ in sources])
+        tiles = plan_tiles(view.width, view.height, max(1, round(len(sources) * scale)), hypotheses, self.budget)
         for tile in tiles:
-            tile_depth, tile_confidence = self._tile(view, sources, tile, whole=len(tiles) == 1)
+            tile_depth, tile_confidence = self._tile(view, sources, tile, hypotheses, whole=len(tiles) == 1)
             # Only the inner part of a tile is kept, except at the photo's own edges.
             half = TILE_OVERLAP // 2
             x0, y0 = tile.x0 + half * (tile.x0 > 0), tile.y0 + half * (tile.y0 > 0)
@@ -157,8 +155,15 @@ class DepthEstimator:
             confidence[y0:y1, x0:x1] = tile_confidence[inner]
         return depth, confidence
 
+    def coarse_hypotheses(self, view: View, sources: list[View]) -> int:
+        """How many hypotheses the coarsest level sweeps for a view, the same in all its tiles."""
+        K = _batch(np.stack([v.K for v in (view, *sources)]))
+        poses = _batch(np.stack([_recentred(v.cam_from_world, view.centre) for v in (view, *sources)]))
+        near, far = torch.tensor([view.near]), torch.tensor([view.far])
+        return self._network.coarse_hypotheses(K, poses, near, far, (view.width, view.height))
+
     def _tile(
-        self, view: View, sources: list[tuple[View, float]], tile: Tile, whole: bool
+        self, view: View, sources: list[tuple[View, float]], tile: Tile, hypotheses: int, whole: bool
     ) -> tuple[np.ndarray, np.ndarray]:
         crops = [(view, tile)] + [
             (s, Tile(0, 0, s.width, s.height) if whole else visible_region(view, tile, s)) for s, _ in sources
@@ -167,15 +172,11 @@ class DepthEstimator:
         K = np.stack([_shifted(v.K, region) for v, region in crops])
         # Poses relative to the reference's centre keep float32 exact, wherever the site's origin is.
         poses = np.stack([_recentred(v.cam_from_world, view.centre) for v, _ in crops])
-
-        def tensor(values: np.ndarray) -> Tensor:
-            return torch.from_numpy(np.ascontiguousarray(values, np.float32)).unsqueeze(0).to(self.device)
-
         near, far = (torch.tensor([d], dtype=torch.float32, device=self.device) for d in (view.near, view.far))
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.dtype == torch.bfloat16):
             outputs = self._network.sweep(
-                features[0], features[1:], tensor(K), tensor(poses), near, far,
-                tensor(np.array([score for _, score in sources])), coarse_hypotheses(view.width, view.height),
+                features[0], features[1:], _batch(K).to(self.device), _batch(poses).to(self.device), near, far,
+                _batch(np.array([score for _, score in sources])).to(self.device), hypotheses,
             )
         depth, confidence = depth_from_t(outputs[-1].t, near, far), self._network.confidence(outputs)
         height, width = tile.y1 - tile.y0, tile.x1 - tile.x0
@@ -223,6 +224,11 @@ def _clipped(values: np.ndarray, length: int) -> tuple[int, int]:
     first = int(np.clip(values.min() - SOURCE_MARGIN, 0, max(0, length - MULTIPLE)))
     last = int(np.clip(values.max() + SOURCE_MARGIN, first + MULTIPLE, max(length, first + MULTIPLE)))
     return first, min(last, length)
+
+
+def _batch(values: np.ndarray) -> Tensor:
+    """A float32 tensor with a batch dimension of 1."""
+    return torch.from_numpy(np.ascontiguousarray(values, np.float32)).unsqueeze(0)
 
 
 def _shifted(K: np.ndarray, region: Tile) -> np.ndarray:

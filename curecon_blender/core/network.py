@@ -11,19 +11,32 @@ l = 2, 1, 0 works at 1/4, 1/2, 1/1 of the photo. Pixel centres lie at .5. Depth 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 LEVELS = (2, 1, 0)  # coarse to fine
+LOCAL = 2  # hypotheses on each side of the likeliest that a linear decoder averages
+FEWEST_HYPOTHESES, MOST_HYPOTHESES = 32, 256  # at the coarsest level
 MULTIPLE = 32  # heights and widths must divide by this: four scales of the regulariser at the coarsest level
 
 
 @dataclass(frozen=True, kw_only=True)
 class NetworkConfig:
-    """Sizes of the network, by level 0, 1, 2. `bins` is how many finest intervals the whole range has."""
+    """Sizes of the network, by level 0, 1, 2, and where it departs from the paper (`PAPER` is the plain model).
+
+    `hypothesis_step`: how far apart neighbouring hypotheses lie, in pixels of their level, in the mean of the sources;
+    the coarsest level gets as many as the range then needs. None: always `hypotheses[2]`, as in the paper.
+    `representation`: "linear" splits a depth between the two hypotheses around it and decodes a local mean, which
+    stays unbiased where the network is unsure; "unified" is the paper's (Eq. 3).
+    `cosine`: features are scaled to unit length, so that a match is worth as much in shade as in the sun.
+    `visibility`: a source that agrees better at a voxel has more say there, by a learned factor, and one that does not
+    see the voxel has none: beside an edge the sources that look behind it are outvoted.
+    """
 
     channels: tuple[int, int, int] = (8, 16, 32)
     groups: tuple[int, int, int] = (8, 8, 8)
@@ -31,23 +44,22 @@ class NetworkConfig:
     interval_ratios: tuple[int, int, int] = (1, 2, 4)
     regulariser_channels: int = 8
     bottom_up: bool = True
+    hypothesis_step: float | None = 1.0
+    representation: Literal["linear", "unified"] = "linear"
+    cosine: bool = True
+    visibility: bool = True
     # Confidence: weights of the levels' logit shares, then the constant; fitted by training/export.py.
     calibration: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 0.0)
 
-    @property
-    def bins(self) -> int:
-        return self.hypotheses[2] * self.interval_ratios[2]
 
-    def interval(self, level: int) -> float:
-        """Distance r of a level's hypotheses, in t."""
-        return self.interval_ratios[level] / self.bins
+PAPER = NetworkConfig(hypothesis_step=None, representation="unified", cosine=False, visibility=False)
 
 
 @dataclass(frozen=True)
 class LevelOutput:
     """One level's result at its own resolution (h, w).
 
-    `logits` (B,M,h,w) of the unified probability volume P; `first` (B,1,h,w) is t of the first hypothesis;
+    `logits` (B,M,h,w) of the probability volume P; `first` (B,1,h,w) is t where the first hypothesis' interval begins;
     `interval` is r in t; `t` (B,1,h,w) the estimate; `share` (B,1,h,w) in [0, 1], how much of P is gathered there.
     """
 
@@ -174,10 +186,9 @@ def homography_terms(
     return rotated, shifted
 
 
-def warp(feature: Tensor, rotated: Tensor, shifted: Tensor, inverse_depth: Tensor) -> Tensor:
-    """Source features (B,C,hs,ws) seen from the reference at `inverse_depth` (B,M,h,w): (B,C,M,h,w).
-
-    What falls outside the source, or behind it, is zero.
+def warp(feature: Tensor, rotated: Tensor, shifted: Tensor, inverse_depth: Tensor) -> tuple[Tensor, Tensor]:
+    """Source features (B,C,hs,ws) seen from the reference at `inverse_depth` (B,M,h,w): (B,C,M,h,w), and where the
+    source sees it, (B,1,M,h,w) bool. What falls outside the source, or behind it, is zero.
     """
     b, m, h, w = inverse_depth.shape
     homogeneous = rotated.unsqueeze(2) + shifted.unsqueeze(2) * inverse_depth.reshape(b, 1, m, h * w)
@@ -185,9 +196,10 @@ def warp(feature: Tensor, rotated: Tensor, shifted: Tensor, inverse_depth: Tenso
     size = torch.tensor([feature.shape[3], feature.shape[2]], dtype=z.dtype, device=z.device)
     grid = homogeneous[:, :2] / z.clamp_min(1e-6).unsqueeze(1) * (2.0 / size).view(1, 2, 1, 1) - 1.0
     grid = torch.where(z.unsqueeze(1) > 1e-6, grid, 2.0).clamp(-2.0, 2.0)
+    seen = (grid.abs() < 1).all(1).view(b, 1, m, h, w)
     grid = grid.permute(0, 2, 3, 1).reshape(b, m * h, w, 2)
     warped = F.grid_sample(feature, grid, mode="bilinear", padding_mode="zeros", align_corners=False)
-    return warped.reshape(b, -1, m, h, w)
+    return warped.reshape(b, -1, m, h, w), seen
 
 
 class LCMMVSNet(nn.Module):
@@ -201,6 +213,8 @@ class LCMMVSNet(nn.Module):
             CostRegulariser(self.config.groups[level], self.config.regulariser_channels) for level in range(3)
         )
         self.alpha = nn.Parameter(torch.ones(3))  # alpha_l of Eq. 2
+        if self.config.visibility:
+            self.beta = nn.Parameter(torch.full((3,), 2.0))  # how much more a cosine of 1 counts, as a logarithm
 
     def channels_last(self) -> LCMMVSNet:
         """Lay the convolutions out channels-last in place, which bf16 on CPUs wants; returns self."""
@@ -211,7 +225,9 @@ class LCMMVSNet(nn.Module):
     def pyramid(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Features of (B,3,H,W) colours in [0, 1], by level 0, 1, 2."""
         features: tuple[Tensor, Tensor, Tensor] = self.features((images - 0.45) / 0.25)
-        return features
+        if not self.config.cosine:
+            return features
+        return tuple(_unit(f) for f in features)  # type: ignore[return-value]
 
     def cost_volume(
         self,
@@ -223,22 +239,24 @@ class LCMMVSNet(nn.Module):
         inverse_depth: Tensor,
     ) -> Tensor:
         """Eq. 2, the learnable cost metric: (B,K,M,h,w) from the reference's features (B,C,h,w), each source's, and
-        weights S_i / sum S (B,N). Eq. 2's sum over sources is taken first: it commutes with the product."""
+        weights S_i / sum S (B,N), which `visibility` refines for each voxel."""
         b, c, m = reference.shape[0], reference.shape[1], inverse_depth.shape[1]
         k = self.config.groups[level]
         # Without gradients the hypotheses go in slices: the warped features, not the cost volume, are what is large.
         slice_size = m if torch.is_grad_enabled() else 8
         slices = []
         for some in inverse_depth.split(slice_size, dim=1):
-            total: Tensor | None = None
+            total = norm = torch.zeros((), device=reference.device)
             for i, (source, (rotated, shifted)) in enumerate(zip(sources, terms, strict=True)):
-                warped = warp(source, rotated, shifted, some) * weights[:, i].view(-1, 1, 1, 1, 1)
-                total = warped if total is None else total + warped
-            assert total is not None, "a cost volume needs at least one source view"
-            product = total * reference.unsqueeze(2)
-            slices.append(product.reshape(b, k, c // k, *product.shape[2:]).mean(2))
-        similarity = torch.cat(slices, dim=2)
-        return self.alpha[level] * similarity
+                warped, seen = warp(source, rotated, shifted, some)
+                product = warped * reference.unsqueeze(2)
+                similarity = product.reshape(b, k, c // k, *product.shape[2:]).mean(2)
+                weight = weights[:, i].view(-1, 1, 1, 1, 1)
+                if self.config.visibility:
+                    weight = weight * seen * torch.exp(self.beta[level] * similarity.mean(1, keepdim=True))
+                total, norm = total + weight * similarity, norm + weight
+            slices.append(total / norm.clamp_min(1e-6))
+        return self.alpha[level] * torch.cat(slices, dim=2)
 
     def forward(
         self, images: Tensor, K: Tensor, cam_from_world: Tensor, near: Tensor, far: Tensor, scores: Tensor
@@ -251,7 +269,19 @@ class LCMMVSNet(nn.Module):
         b, v = images.shape[:2]
         pyramid = self.pyramid(images.flatten(0, 1))
         views = [tuple(level.unflatten(0, (b, v))[:, i] for level in pyramid) for i in range(v)]
-        return self.sweep(views[0], views[1:], K, cam_from_world, near, far, scores)
+        count = self.coarse_hypotheses(K, cam_from_world, near, far, (images.shape[4], images.shape[3]))
+        return self.sweep(views[0], views[1:], K, cam_from_world, near, far, scores, count)
+
+    def coarse_hypotheses(
+        self, K: Tensor, cam_from_world: Tensor, near: Tensor, far: Tensor, size: tuple[int, int]
+    ) -> int:
+        """How many hypotheses the coarsest level sweeps, a multiple of 8, for a reference of `size` (W, H): as many
+        as put neighbours `hypothesis_step` pixels of that level apart, for the sample that asks for most."""
+        if self.config.hypothesis_step is None:
+            return self.config.hypotheses[2]
+        pixels = float(mean_disparity(K, cam_from_world, near, far, size).max()) / 4
+        wanted = 8 * math.ceil(pixels / self.config.hypothesis_step / 8)
+        return min(max(wanted, FEWEST_HYPOTHESES), MOST_HYPOTHESES)
 
     def sweep(
         self,
@@ -262,25 +292,24 @@ class LCMMVSNet(nn.Module):
         near: Tensor,
         far: Tensor,
         scores: Tensor,
-        coarse_hypotheses: int | None = None,
+        coarse_hypotheses: int,
     ) -> list[LevelOutput]:
-        """`forward` from ready features, by level 0, 1, 2, of each view.
-
-        `coarse_hypotheses` (a multiple of 8) replaces the coarsest level's number; all intervals shrink with it.
-        """
-        coarse = coarse_hypotheses or self.config.hypotheses[2]
+        """`forward` from ready features, by level 0, 1, 2, of each view, with so many hypotheses (a multiple of 8)
+        at the coarsest level; the finer levels' intervals follow from its interval by the config's ratios."""
+        config = self.config
+        middle = 0.5 if config.representation == "linear" else 0.0  # where a hypothesis stands in its interval
         weights = scores / scores.sum(1, keepdim=True)
         src_from_ref = [relative_pose(cam_from_world[:, i + 1], cam_from_world[:, 0]) for i in range(len(sources))]
         outputs: list[LevelOutput] = []
         for level in LEVELS:
             h, w = reference[level].shape[2:]
-            interval = self.config.interval(level) * self.config.hypotheses[2] / coarse
-            m = self.config.hypotheses[level] if outputs else coarse
+            interval = config.interval_ratios[level] / config.interval_ratios[2] / coarse_hypotheses
+            m = config.hypotheses[level] if outputs else coarse_hypotheses
             if outputs:  # a window around the upsampled coarser estimate
                 first = (upsample(outputs[-1].t.detach()) - m * interval / 2).clamp(0.0, 1.0 - m * interval)
             else:
                 first = torch.zeros(reference[level].shape[0], 1, h, w, device=reference[level].device)
-            steps = torch.arange(m, device=first.device, dtype=first.dtype).view(1, m, 1, 1) * interval
+            steps = (torch.arange(m, device=first.device, dtype=first.dtype).view(1, m, 1, 1) + middle) * interval
             inverse_depth = 1.0 / depth_from_t(first + steps, near, far)
             K_level = level_intrinsics(K, level)
             terms = [homography_terms(K_level[:, 0], K_level[:, i + 1], pose, h, w)
@@ -289,6 +318,7 @@ class LCMMVSNet(nn.Module):
                 level, reference[level].float(), [s[level].float() for s in sources], terms, weights, inverse_depth
             )
             logits = self.regularisers[level](cost).float()
+            decode = decode_linear if config.representation == "linear" else decode_unified
             outputs.append(LevelOutput(logits, first, interval, *decode(logits, first, interval)))
         return outputs
 
@@ -316,7 +346,51 @@ def upsample(x: Tensor) -> Tensor:
     return F.interpolate(x, scale_factor=2.0, mode="bilinear", align_corners=False)
 
 
-def decode(logits: Tensor, first: Tensor, interval: float) -> tuple[Tensor, Tensor]:
+def _unit(features: Tensor) -> Tensor:
+    """(B,C,h,w) with a root mean square of 1 over C: the mean of a product of two such is their cosine."""
+    return features * torch.rsqrt(features.float().square().mean(1, keepdim=True) + 1e-4).to(features.dtype)
+
+
+def mean_disparity(
+    K: Tensor, cam_from_world: Tensor, near: Tensor, far: Tensor, size: tuple[int, int]
+) -> Tensor:
+    """(B,) pixels of a source that the sweep from near to far passes over, in the mean of the sources.
+
+    Measured by the speed at the middle of the sweep, at nine pixels of a reference of `size` (W, H), since the ends
+    of a sweep often lie outside or behind a source. Shapes as for LCMMVSNet.forward.
+    """
+    xs, ys = (torch.tensor([0.2, 0.5, 0.8], device=K.device) * length for length in size)
+    pixels = torch.stack([*torch.meshgrid(xs, ys, indexing="ij"), torch.ones(3, 3, device=K.device)]).reshape(1, 3, 9)
+    middle, span = (1 / near + 1 / far) / 2, 1 / near - 1 / far
+    speeds = []
+    for i in range(1, K.shape[1]):
+        pose = relative_pose(cam_from_world[:, i], cam_from_world[:, 0])
+        rotated = K[:, i] @ pose[:, :, :3] @ torch.linalg.inv(K[:, 0]) @ pixels
+        shifted = K[:, i] @ pose[:, :, 3:]
+        homogeneous = rotated + middle.view(-1, 1, 1) * shifted
+        z = homogeneous[:, 2:]
+        velocity = (shifted[:, :2] - homogeneous[:, :2] / z * shifted[:, 2:]) / z
+        speed = torch.where(z[:, 0] > 1e-3, velocity.norm(dim=1), 0.0)  # 0 behind the source
+        speeds.append(speed.median(1).values * span)
+    return torch.stack(speeds).mean(0)
+
+
+def decode_linear(logits: Tensor, first: Tensor, interval: float) -> tuple[Tensor, Tensor]:
+    """Mean of t over the hypotheses within LOCAL of the likeliest, and P's share within one of it, each (B,1,h,w)."""
+    probability = torch.softmax(logits, 1)
+    index = probability.argmax(1, keepdim=True)
+    m = logits.shape[1]
+    total = mean = share = torch.zeros_like(first)
+    for o in range(-LOCAL, LOCAL + 1):
+        inside = (index + o >= 0) & (index + o < m)
+        p = torch.where(inside, probability.gather(1, (index + o).clamp(0, m - 1)), 0.0)
+        total, mean = total + p, mean + p * o
+        if abs(o) <= 1:
+            share = share + p
+    return first + interval * (index + 0.5 + mean / total), share
+
+
+def decode_unified(logits: Tensor, first: Tensor, interval: float) -> tuple[Tensor, Tensor]:
     """Eq. 3: t = t_m* + r (1 - max P), and P's share within one hypothesis of m*, each (B,1,h,w).
 
     The paper prints + r max P, which would contradict its own label, 1 - (d - d_m) / r. max P alone is no

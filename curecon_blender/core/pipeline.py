@@ -261,7 +261,7 @@ def _cost(photo_set: PhotoSet, quality: str) -> dict[str, float]:
     size, sources = PRESETS[quality].image_size, PRESETS[quality].source_views
     pixels = [_scaled_pixels(photo, size) for photo in photo_set.photos]
     megapixels = sum(pixels) / 1e6
-    per_pixel = depth.bytes_per_pixel(size, size) + sources * depth.BYTES_PER_SOURCE_PIXEL
+    per_pixel = depth.bytes_per_pixel(depth.typical_hypotheses(size)) + sources * depth.BYTES_PER_SOURCE_PIXEL
     whole = depth.BASE_BYTES + max(pixels) * per_pixel
     available = 0.6 * psutil.virtual_memory().available
     return {
