@@ -8,9 +8,13 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import torch
 
 from curecon_blender.core.matching_scores import depth_range, matching_score
+from curecon_blender.core.network import mean_disparity
 from training.generator import Scene
+
+MOST_PIXELS = 560  # a sweep over more asks for so many hypotheses that one sample would take the time of three
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,14 @@ def sparse_depth_range(scene: Scene, reference: int) -> tuple[float, float]:
     pose = scene.cam_from_world[reference]
     depths = scene.points[scene.visible[reference]] @ pose[2, :3] + pose[2, 3]
     return depth_range(depths[depths > 0])
+
+
+def _sweep_pixels(
+    intrinsics: list[np.ndarray], cam_from_world: np.ndarray, near: float, far: float, size: tuple[int, int]
+) -> float:
+    """Pixels of a source that the sweep passes over, in the mean of the sources."""
+    K, poses = (torch.from_numpy(np.asarray(a, np.float32))[None] for a in (np.stack(intrinsics), cam_from_world))
+    return float(mean_disparity(K, poses, torch.tensor([near]), torch.tensor([far]), size))
 
 
 def training_sample(scene: Scene, rng: np.random.Generator, sources: int, size: tuple[int, int]) -> Sample | None:
@@ -98,6 +110,8 @@ def training_sample(scene: Scene, rng: np.random.Generator, sources: int, size: 
             mirror = np.eye(3)
             mirror[2 - axis, 2 - axis], mirror[2 - axis, 2] = -1, size[2 - axis]
             intrinsics = [mirror @ K for K in intrinsics]
+    if _sweep_pixels(intrinsics, scene.cam_from_world[views], near, far, size) > MOST_PIXELS:
+        return None
     return Sample(
         np.stack(images), np.stack(intrinsics).astype(np.float32), scene.cam_from_world[views].astype(np.float32),
         np.array([score for _, score in scored], np.float32), crop, near, far,

@@ -244,13 +244,14 @@ class LCMMVSNet(nn.Module):
         k = self.config.groups[level]
         # Without gradients the hypotheses go in slices: the warped features, not the cost volume, are what is large.
         slice_size = m if torch.is_grad_enabled() else 8
+        scaled = (reference * (k / c)).unsqueeze(2)  # the mean over a group's channels becomes a sum
         slices = []
         for some in inverse_depth.split(slice_size, dim=1):
             total = norm = torch.zeros((), device=reference.device)
             for i, (source, (rotated, shifted)) in enumerate(zip(sources, terms, strict=True)):
                 warped, seen = warp(source, rotated, shifted, some)
-                product = warped * reference.unsqueeze(2)
-                similarity = product.reshape(b, k, c // k, *product.shape[2:]).mean(2)
+                product = (warped * scaled).reshape(b, k, c // k, *some.shape[1:])
+                similarity = product.sum(2) if c > k else product[:, :, 0]
                 weight = weights[:, i].view(-1, 1, 1, 1, 1)
                 if self.config.visibility:
                     weight = weight * seen * torch.exp(self.beta[level] * similarity.mean(1, keepdim=True))
