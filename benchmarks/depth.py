@@ -18,6 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
+from curecon_blender.core.allocator import use_large_pages
+
 
 def measure(width: int, height: int, sources: int, device: str, precision: str, memory_gib: float | None) -> None:
     """Print one row: seconds of wall and CPU time, and peak memory above what was there before."""
@@ -72,4 +74,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    use_large_pages()
     main()

@@ -134,6 +134,18 @@ def test_slices_of_the_cost_volume_change_nothing() -> None:
     torch.testing.assert_close(whole, sliced, atol=1e-4, rtol=1e-4)
 
 
+def test_folding_batch_normalisation_changes_nothing() -> None:
+    network = load_network()
+    views = [make_view(i, 24) for i in (0, 1, 2)]
+    K, poses = (tensor(np.stack([getattr(v, n) for v in views])) for n in ("K", "cam_from_world"))
+    pictures = tensor(np.stack([cast(v)[1] for v in views])).permute(0, 1, 4, 2, 3) / 255
+    arguments = (pictures[..., :96, :160], K, poses, torch.tensor([3.0]), torch.tensor([15.0]), torch.ones(1, 2))
+    with torch.no_grad():
+        plain = network(*arguments)[-1].t
+        folded = network.fold_batch_norm()(*arguments)[-1].t
+    assert ((plain - folded).abs() < 1e-3).float().mean() > 0.99
+
+
 @pytest.mark.parametrize(("angle", "score"), [(5, 1.0), (4, np.exp(-0.5)), (15, np.exp(-0.5)), (0.001, np.exp(-12.5))])
 def test_matching_score_of_one_point_by_hand(angle: float, score: float) -> None:
     half = np.radians(angle) / 2

@@ -29,6 +29,7 @@ import torch
 import torch.distributed as dist
 from torch import Tensor
 
+from curecon_blender.core.allocator import use_large_pages
 from curecon_blender.core.network import LCMMVSNet, NetworkConfig, t_from_depth
 from curecon_blender.core.weights import describe, load_network
 from training.dataset import Sample, training_sample
@@ -278,8 +279,13 @@ def main() -> None:
         return
     with tempfile.TemporaryDirectory() as folder:
         rendezvous = (Path(folder) / "rendezvous").as_uri()
-        torch.multiprocessing.spawn(train, (options, rendezvous), nprocs=options.processes)
+        together = torch.multiprocessing.spawn(train, (options, rendezvous), nprocs=options.processes, join=False)
+        for number in (signal.SIGINT, signal.SIGTERM):  # the processes save and leave; this one waits for them
+            signal.signal(number, lambda *_: [process.terminate() for process in together.processes])
+        while not together.join():
+            pass
 
 
 if __name__ == "__main__":
+    use_large_pages()
     main()

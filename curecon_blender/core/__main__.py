@@ -4,7 +4,9 @@
 
 import sys
 
+from .allocator import use_large_pages
 from .worker import main
 
 if __name__ == "__main__":
+    use_large_pages()
     sys.exit(main())

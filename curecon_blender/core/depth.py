@@ -127,7 +127,7 @@ class DepthEstimator:
         self.dtype = choose_precision(options.precision, self.device)
         self.budget = memory_budget(options, self.device)
         self._workspace = workspace
-        self._network = network.to(self.device).eval()
+        self._network = network.to(self.device).eval().fold_batch_norm()
         if self.dtype == torch.bfloat16:
             self._network.channels_last()
         self._features: OrderedDict[str, tuple[Tensor, ...]] = OrderedDict()

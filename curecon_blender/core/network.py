@@ -18,6 +18,7 @@ from typing import Literal
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
+from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 LEVELS = (2, 1, 0)  # coarse to fine
 LOCAL = 2  # hypotheses on each side of the likeliest that a linear decoder averages
@@ -220,6 +221,17 @@ class LCMMVSNet(nn.Module):
         """Lay the convolutions out channels-last in place, which bf16 on CPUs wants; returns self."""
         self.features.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.regularisers.to(memory_format=torch.channels_last_3d)  # type: ignore[call-overload]
+        return self
+
+    def fold_batch_norm(self) -> LCMMVSNet:
+        """Merge every batch normalisation into the convolution before it, in place; for use, not for training."""
+        for block in [m for m in self.modules() if isinstance(m, nn.Sequential)]:
+            for i in range(len(block) - 1):
+                if isinstance(block[i + 1], (nn.BatchNorm2d, nn.BatchNorm3d)):
+                    transposed = isinstance(block[i], nn.ConvTranspose3d)
+                    block[i] = fuse_conv_bn_eval(  # type: ignore[type-var]
+                        block[i], block[i + 1], transpose=transposed)  # type: ignore[arg-type]
+                    block[i + 1] = nn.Identity()
         return self
 
     def pyramid(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor]:

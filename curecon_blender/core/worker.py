@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import TextIO
 
 from . import messages
+from .allocator import use_large_pages
 from .errors import CuReconError, SetupError
 from .messages import Message, Reporter
 from .options import QUALITIES, STAGES, Options
@@ -230,4 +231,5 @@ def _in_words(summary: dict[str, object]) -> str:
 
 
 if __name__ == "__main__":
+    use_large_pages()
     sys.exit(main())
