@@ -21,7 +21,6 @@ from curecon_blender.core.network import (
     decode_unified,
     depth_from_t,
     homography_terms,
-    relative_pose,
     t_from_depth,
     warp,
 )
@@ -38,13 +37,14 @@ def test_a_source_warped_at_the_true_depth_is_the_reference() -> None:
     reference, source = make_view(0, 24), make_view(1, 24)
     depth, picture = cast(reference)
     _, other = cast(source)
-    pose = relative_pose(tensor(source.cam_from_world), tensor(reference.cam_from_world))
+    poses = tensor(np.stack([reference.cam_from_world, source.cam_from_world]))
 
     def difference(shift_u: float, shift_v: float) -> float:
         """Median difference in grey levels, with the source's principal point moved by so many pixels."""
         K = source.K + np.array([[0, 0, shift_u], [0, 0, shift_v], [0, 0, 0]])
-        terms = homography_terms(tensor(reference.K), tensor(K), pose, *depth.shape)
-        warped, _ = warp(tensor(other.transpose(2, 0, 1)), *terms, tensor(1 / np.maximum(depth, 1e-3)[None]))
+        with torch.autocast("cpu", torch.bfloat16):  # of the convolutions alone
+            terms = homography_terms(tensor(np.stack([reference.K, K])), poses, 1, *depth.shape)
+            warped, _ = warp(tensor(other.transpose(2, 0, 1)), *terms, tensor(1 / np.maximum(depth, 1e-3)[None]))
         return float(np.median(np.abs(warped[0, :, 0].numpy().transpose(1, 2, 0) - picture)[depth > 0]))
 
     exact = difference(0, 0)

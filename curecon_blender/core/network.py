@@ -170,20 +170,23 @@ def level_intrinsics(K: Tensor, level: int) -> Tensor:
 
 
 def homography_terms(
-    K_ref: Tensor, K_src: Tensor, src_from_ref: Tensor, height: int, width: int
+    K: Tensor, cam_from_world: Tensor, source: int, height: int, width: int
 ) -> tuple[Tensor, Tensor]:
-    """Terms of the plane homographies: a pixel at inverse depth w maps to rotated + w * shifted, homogeneous.
+    """Terms of the plane homographies from view 0 to view `source`, for (B,V,3,3) intrinsics and (B,V,3,4) poses.
 
-    Returns rotated (B,3,h*w) and shifted (B,3,1) for intrinsics (B,3,3) and poses (B,3,4).
+    A pixel at inverse depth w maps to rotated + w * shifted, homogeneous: (B,3,h*w) and (B,3,1).
     """
-    y, x = torch.meshgrid(
-        torch.arange(height, device=K_ref.device, dtype=K_ref.dtype) + 0.5,
-        torch.arange(width, device=K_ref.device, dtype=K_ref.dtype) + 0.5,
-        indexing="ij",
-    )
-    pixels = torch.stack([x, y, torch.ones_like(x)]).reshape(1, 3, -1)
-    rotated = K_src @ src_from_ref[:, :, :3] @ torch.linalg.inv(K_ref) @ pixels
-    shifted = K_src @ src_from_ref[:, :, 3:]
+    # Autocast would multiply these matrices in bf16, whose eight bits put a source several pixels off its place.
+    with torch.autocast(K.device.type, enabled=False):
+        src_from_ref = relative_pose(cam_from_world[:, source], cam_from_world[:, 0])
+        y, x = torch.meshgrid(
+            torch.arange(height, device=K.device, dtype=K.dtype) + 0.5,
+            torch.arange(width, device=K.device, dtype=K.dtype) + 0.5,
+            indexing="ij",
+        )
+        pixels = torch.stack([x, y, torch.ones_like(x)]).reshape(1, 3, -1)
+        rotated = K[:, source] @ src_from_ref[:, :, :3] @ torch.linalg.inv(K[:, 0]) @ pixels
+        shifted = K[:, source] @ src_from_ref[:, :, 3:]
     return rotated, shifted
 
 
@@ -312,7 +315,6 @@ class LCMMVSNet(nn.Module):
         config = self.config
         middle = 0.5 if config.representation == "linear" else 0.0  # where a hypothesis stands in its interval
         weights = scores / scores.sum(1, keepdim=True)
-        src_from_ref = [relative_pose(cam_from_world[:, i + 1], cam_from_world[:, 0]) for i in range(len(sources))]
         outputs: list[LevelOutput] = []
         for level in LEVELS:
             h, w = reference[level].shape[2:]
@@ -324,9 +326,8 @@ class LCMMVSNet(nn.Module):
                 first = torch.zeros(reference[level].shape[0], 1, h, w, device=reference[level].device)
             steps = (torch.arange(m, device=first.device, dtype=first.dtype).view(1, m, 1, 1) + middle) * interval
             inverse_depth = 1.0 / depth_from_t(first + steps, near, far)
-            K_level = level_intrinsics(K, level)
-            terms = [homography_terms(K_level[:, 0], K_level[:, i + 1], pose, h, w)
-                     for i, pose in enumerate(src_from_ref)]
+            terms = [homography_terms(level_intrinsics(K, level), cam_from_world, i + 1, h, w)
+                     for i in range(len(sources))]
             cost = self.cost_volume(
                 level, reference[level].float(), [s[level].float() for s in sources], terms, weights, inverse_depth
             )
