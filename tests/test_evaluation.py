@@ -28,9 +28,10 @@ from curecon_blender.core.messages import Reporter
 from curecon_blender.core.options import Options
 from curecon_blender.core.ply import Cloud, CloudWriter, read_cloud
 from curecon_blender.core.types import Frame, GeoPosition, View
-from evaluation import cloud_metrics, depth_metrics, plane_sweep, site
+from evaluation import cloud_metrics, depth_metrics, plane_sweep, site, validation
 from evaluation.alignment import align, read_centres
 from evaluation.depth_metrics import DepthRange, depth_errors
+from training.generator import Scene, save
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -55,7 +56,7 @@ def answer(module: str, *arguments: object) -> Any:
     return json.loads(done.stdout)
 
 
-@pytest.mark.parametrize("module", ["depth_metrics", "cloud_metrics", "plane_sweep", "site"])
+@pytest.mark.parametrize("module", ["depth_metrics", "cloud_metrics", "plane_sweep", "site", "validation"])
 def test_each_starts_as_a_command_and_explains_itself(module: str) -> None:
     done = subprocess.run([sys.executable, "-m", f"evaluation.{module}", "--help"], cwd=ROOT, capture_output=True,
                           text=True, timeout=120, check=True)
@@ -400,3 +401,16 @@ def test_site_report(tmp_path: Path) -> None:
     next(depth_folder.iterdir()).unlink()
     missing = command("site", workspace, site_folder, "--depth", depth_folder)
     assert missing.returncode == WorkspaceError.exit_code and "make_site.py depth" in missing.stderr
+
+
+@pytest.mark.parametrize("method", ["plane_sweep_method", "patchmatch_method"])
+def test_every_method_of_the_validation_finds_the_box(method: str, tmp_path: Path) -> None:
+    views = [make_view(i, 30) for i in range(5)]
+    depth, pictures = zip(*(cast(view) for view in views), strict=True)
+    rng = np.random.default_rng(0)
+    points = np.column_stack([rng.uniform(-2.5, 2.5, (300, 2)), np.zeros(300)])
+    scene = Scene(np.stack(pictures), np.stack(depth), np.stack([v.K for v in views]),
+                  np.stack([v.cam_from_world for v in views]), points.astype(np.float32), np.ones((5, 300), bool))
+    save(scene, tmp_path / "1.npz")
+    result = validation.measure(getattr(validation, method), [tmp_path / "1.npz"], references=1, sources=4)
+    assert result.errors.median < 0.05 and result.errors.coverage > 50

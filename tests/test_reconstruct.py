@@ -4,9 +4,12 @@
 
 from __future__ import annotations
 
+import os
+import platform
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -204,3 +207,13 @@ def test_wrong_arguments_are_refused_with_the_usage(site_photos: Path, tmp_path:
     run = curecon("reconstruct", site_photos, "--workspace", tmp_path / "w", *word.split())
     assert run.code == 2
     assert "usage" in run.said
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="the allocator's settings are glibc's")
+def test_a_worker_starts_itself_again_with_large_pages_and_the_same_arguments() -> None:
+    script = ("from curecon_blender.core.allocator import use_large_pages; use_large_pages(); "
+              "import os, sys; print(os.environ['MALLOC_MMAP_MAX_'], sys.argv[1:])")
+    plain = {k: v for k, v in os.environ.items() if not k.startswith(("MALLOC_", "GLIBC_"))}
+    done = subprocess.run([sys.executable, "-c", script, "a b", "--c"], cwd=ROOT, env=plain, capture_output=True,
+                          text=True, check=True)
+    assert done.stdout.split(maxsplit=1) == ["0", "['a b', '--c']\n"]

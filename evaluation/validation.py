@@ -1,0 +1,168 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Depth on rendered scenes that training never saw: the network beside a plane sweep and a PatchMatch.
+
+    python -m training.generator --assets DIR --out SCENES --count 20 --start-seed 900000 --size 768x576 --held-out
+    python -m evaluation.validation SCENES [--methods network plane-sweep patchmatch] [--references 2] [--json]
+
+Every method gets the same references, the same four sources by Algorithm 1, and the same depth range from the sparse
+points. The depth interval is that of BlendedMVS, 1/128 of the reference's true range (1st to 99th percentile).
+PatchMatch is that of the package pyarchinit-photogrammetry-core; it fills only where it is sure enough, so its errors
+are over fewer pixels: read them with its coverage. `sure` is the share of pixels with confidence above 0.9, and
+`within 1` how many of those are within one interval.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from curecon_blender.core import images
+from curecon_blender.core.allocator import use_large_pages
+from curecon_blender.core.depth import DepthEstimator
+from curecon_blender.core.options import Options
+from curecon_blender.core.types import View
+from curecon_blender.core.weights import load_network
+from training.dataset import source_scores, sparse_depth_range
+from training.generator import Scene, load
+
+from . import depth_metrics, plane_sweep
+from .depth_metrics import DepthErrors
+
+SURE = 0.9
+Estimate = tuple[np.ndarray, np.ndarray]  # depth (H,W), 0 where none, and confidence (H,W)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """One method over all references. `seconds` is CPU time a reference."""
+
+    errors: DepthErrors
+    sure: float
+    sure_within_one: float
+    seconds: float
+
+
+def views_of(scene: Scene, folder: Path, references: int, sources: int) -> list[tuple[View, int, list[View]]]:
+    """References of a scene (evenly taken, with their number) and the sources of each; pictures go to the folder."""
+    height, width = scene.depth.shape[1:]
+    for i, picture in enumerate(scene.images):
+        cv2.imwrite(str(folder / f"{i}.png"), picture[..., ::-1])
+    chosen = []
+    for reference in range(len(scene.images)):
+        scored = source_scores(scene, reference)[:sources]
+        if len(scored) == sources:
+            near, far = sparse_depth_range(scene, reference)
+            chosen.append((reference, near, far, scored))
+    step = max(1, len(chosen) // references)
+
+    def view(i: int, near: float, far: float, scored: list[tuple[int, float]]) -> View:
+        return View(name=str(i), image=f"{i}.png", width=width, height=height, K=scene.K[i],
+                    cam_from_world=scene.cam_from_world[i], near=near, far=far,
+                    sources=tuple((str(n), s) for n, s in scored))
+
+    return [
+        (view(reference, near, far, scored), reference, [view(n, near, far, []) for n, _ in scored])
+        for reference, near, far, scored in chosen[step // 2 :: step][:references]
+    ]
+
+
+def network_method(weights: Path | None) -> Callable[[View, list[View], Path], Estimate]:
+    """LCM-MVSNet as in use, with one set of weights (None: those that ship)."""
+    network = load_network(weights)
+
+    def estimate(view: View, sources: list[View], folder: Path) -> Estimate:
+        estimator = DepthEstimator(network, folder, Options(photos=folder, workspace=folder))
+        return estimator.estimate(view, list(zip(sources, [s for _, s in view.sources], strict=True)))
+
+    return estimate
+
+
+def plane_sweep_method(view: View, sources: list[View], folder: Path) -> Estimate:
+    grey = [cv2.cvtColor(images.read_rgb(folder / v.image), cv2.COLOR_RGB2GRAY) for v in (view, *sources)]
+    return plane_sweep.sweep(view, grey[0], list(zip(sources, grey[1:], strict=True)))
+
+
+def patchmatch_method(view: View, sources: list[View], folder: Path) -> Estimate:
+    import ppg_core
+
+    def grey(v: View) -> np.ndarray:
+        picture = cv2.cvtColor(images.read_rgb(folder / v.image), cv2.COLOR_RGB2GRAY)
+        return np.ascontiguousarray(picture, np.float32) / 255
+
+    def intrinsics(v: View) -> tuple[float, float, float, float]:  # its pixel centres lie at whole numbers
+        return float(v.K[0, 0]), float(v.K[1, 1]), float(v.K[0, 2] - 0.5), float(v.K[1, 2] - 0.5)
+
+    others = []
+    for source in sources:
+        rotation = source.cam_from_world[:, :3] @ view.cam_from_world[:, :3].T
+        translation = source.cam_from_world[:, 3] - rotation @ view.cam_from_world[:, 3]
+        others.append((grey(source), intrinsics(source), rotation, translation))
+    depth, _, cost = ppg_core.patchmatch_depth(grey(view), intrinsics(view), others, (view.near, view.far))
+    return depth, np.where(depth > 0, np.clip(1 - cost, 0, 1), 0)
+
+
+def measure(
+    method: Callable[[View, list[View], Path], Estimate], scenes: list[Path], references: int, sources: int
+) -> Result:
+    """Mean errors of a method over the references of all scenes."""
+    errors, seconds = [], []
+    sure = within = pixels = 0
+    for path in scenes:
+        scene = load(path)
+        with tempfile.TemporaryDirectory() as folder:
+            for view, reference, others in views_of(scene, Path(folder), references, sources):
+                began = time.process_time()
+                depth, confidence = method(view, others, Path(folder))
+                seconds.append(time.process_time() - began)
+                truth = scene.depth[reference]
+                true_range = depth_metrics.true_range(truth)
+                errors.append(depth_metrics.depth_errors(depth, truth, true_range))
+                counted = (truth >= true_range.near) & (truth <= true_range.far)
+                confident = counted & (confidence > SURE)
+                sure, pixels = sure + int(confident.sum()), pixels + int(counted.sum())
+                within += int((np.abs(depth - truth)[confident] < true_range.interval).sum())
+    return Result(errors=depth_metrics.mean_errors(errors), sure=100 * sure / max(pixels, 1),
+                  sure_within_one=100 * within / max(sure, 1), seconds=float(np.mean(seconds)))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m evaluation.validation", description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenes", type=Path)
+    parser.add_argument("--methods", nargs="+", choices=("network", "plane-sweep", "patchmatch"),
+                        default=["network", "plane-sweep"])
+    parser.add_argument("--weights", type=Path, help="of the network (default: those that ship)")
+    parser.add_argument("--references", type=int, default=2, help="a scene")
+    parser.add_argument("--sources", type=int, default=4)
+    parser.add_argument("--json", action="store_true")
+    args = parser.parse_args(arguments)
+    scenes = sorted(args.scenes.glob("*.npz"))
+    if not scenes:
+        print(f"{args.scenes} holds no scenes; make some with training.generator.", file=sys.stderr)
+        return 2
+    makers = {"network": lambda: network_method(args.weights), "plane-sweep": lambda: plane_sweep_method,
+              "patchmatch": lambda: patchmatch_method}
+    results = {name: measure(makers[name](), scenes, args.references, args.sources) for name in args.methods}
+    if args.json:
+        print(json.dumps({name: asdict(result) for name, result in results.items()}))
+        return 0
+    print(depth_metrics.table({name: r.errors for name, r in results.items()}))
+    for name, r in results.items():
+        print(f"{name:24}{r.sure:5.1f} % with confidence above {SURE}, {r.sure_within_one:5.1f} % of them within one "
+              f"interval; {r.seconds:.1f} CPU s a reference")
+    return 0
+
+
+if __name__ == "__main__":
+    use_large_pages()
+    sys.exit(main())
