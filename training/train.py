@@ -187,8 +187,9 @@ def step(state: State, batch: dict[str, Tensor], horizon: int, bf16: bool) -> di
     state.samples += len(depth) * (dist.get_world_size() if dist.is_initialized() else 1)
     update_ema(state)
     error = ((outputs[-1].t - t).abs() * 128)[valid]  # in BlendedMVS's depth intervals
-    return {"loss": loss.item(), "epe": error.clamp_max(64).mean().item(),
-            "e1": (error > 1).float().mean().item() * 100, "e3": (error > 3).float().mean().item() * 100}
+    pixels = max(len(error), 1)
+    return {"loss": loss.item(), "epe": error.clamp_max(64).sum().item() / pixels,
+            "e1": (error > 1).sum().item() / pixels * 100, "e3": (error > 3).sum().item() / pixels * 100}
 
 
 def stop_together(stop: bool) -> bool:
