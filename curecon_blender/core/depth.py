@@ -26,12 +26,13 @@ from .options import Options
 from .types import Component, View
 
 TILE_OVERLAP = 64  # pixels that neighbouring tiles share; half of it on each side is thrown away
+FEATURE_BYTES = 1 << 30  # of photos' features kept: a photo's neighbours, some dozens
 SOURCE_MARGIN = 32  # pixels of context kept around what a tile can see in a source
 # Peak memory of one tile, measured on a CPU (benchmarks/depth.py): fixed, per pixel of the tile, and per pixel of
 # each of its sources.
 BASE_BYTES = 500 << 20
-BYTES_PER_HYPOTHESIS = 100  # and pixel of the photo
-BYTES_PER_SOURCE_PIXEL = 180
+BYTES_PER_HYPOTHESIS = 60  # and pixel of the photo
+BYTES_PER_SOURCE_PIXEL = 80
 
 
 @dataclass(frozen=True)
@@ -184,7 +185,7 @@ class DepthEstimator:
                 confidence[0, 0, :height, :width].cpu().numpy().astype(np.float16))
 
     def _features_of(self, view: View, region: Tile, whole: bool) -> tuple[Tensor, ...]:
-        """Features of a region; of whole photos they are kept, as many as a quarter of the budget holds."""
+        """Features of a region; those of whole photos are kept within FEATURE_BYTES and a quarter of the budget."""
         if whole and view.name in self._features:
             self._features.move_to_end(view.name)
             return self._features[view.name]
@@ -196,7 +197,7 @@ class DepthEstimator:
         if whole:
             self._features[view.name] = features
             size = sum(f.numel() * f.element_size() for f in features)
-            while len(self._features) > max(1, self.budget // 4 // size):
+            while len(self._features) > max(1, min(FEATURE_BYTES, self.budget // 4) // size):
                 self._features.popitem(last=False)
         return features
 

@@ -23,6 +23,7 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 LEVELS = (2, 1, 0)  # coarse to fine
 LOCAL = 2  # hypotheses on each side of the likeliest that a linear decoder averages
 FEWEST_HYPOTHESES, MOST_HYPOTHESES = 32, 256  # at the coarsest level
+SLICE_BYTES = 64 << 20  # of warped features held at once, without gradients
 MULTIPLE = 32  # heights and widths must divide by this: four scales of the regulariser at the coarsest level
 
 
@@ -254,25 +255,43 @@ class LCMMVSNet(nn.Module):
         inverse_depth: Tensor,
     ) -> Tensor:
         """Eq. 2, the learnable cost metric: (B,K,M,h,w) from the reference's features (B,C,h,w), each source's, and
-        weights S_i / sum S (B,N), which `visibility` refines for each voxel."""
-        b, c, m = reference.shape[0], reference.shape[1], inverse_depth.shape[1]
+        weights S_i / sum S (B,N), which `visibility` refines for each voxel. Without gradients it is filled slice by
+        slice, in the type that the regulariser takes it in: the warped features, not the volume, are what is large."""
+        if torch.is_grad_enabled():
+            return self._mean_similarity(level, reference, sources, terms, weights, inverse_depth)
+        b, c, h, w = reference.shape
+        device = reference.device.type
+        dtype = torch.get_autocast_dtype(device) if torch.is_autocast_enabled(device) else reference.dtype
+        cost = torch.empty((b, self.config.groups[level], inverse_depth.shape[1], h, w), dtype=dtype,
+                           device=reference.device, memory_format=torch.channels_last_3d)
+        step = max(1, SLICE_BYTES // (4 * c * h * w))
+        for at in range(0, inverse_depth.shape[1], step):
+            some = slice(at, at + step)
+            cost[:, :, some] = self._mean_similarity(level, reference, sources, terms, weights, inverse_depth[:, some])
+        return cost
+
+    def _mean_similarity(
+        self,
+        level: int,
+        reference: Tensor,
+        sources: list[Tensor],
+        terms: list[tuple[Tensor, Tensor]],
+        weights: Tensor,
+        inverse_depth: Tensor,
+    ) -> Tensor:
+        b, c = reference.shape[:2]
         k = self.config.groups[level]
-        # Without gradients the hypotheses go in slices: the warped features, not the cost volume, are what is large.
-        slice_size = m if torch.is_grad_enabled() else 8
         scaled = (reference * (k / c)).unsqueeze(2)  # the mean over a group's channels becomes a sum
-        slices = []
-        for some in inverse_depth.split(slice_size, dim=1):
-            total = norm = torch.zeros((), device=reference.device)
-            for i, (source, (rotated, shifted)) in enumerate(zip(sources, terms, strict=True)):
-                warped, seen = warp(source, rotated, shifted, some)
-                product = (warped * scaled).reshape(b, k, c // k, *some.shape[1:])
-                similarity = product.sum(2) if c > k else product[:, :, 0]
-                weight = weights[:, i].view(-1, 1, 1, 1, 1)
-                if self.config.visibility:
-                    weight = weight * seen * torch.exp(self.beta[level] * similarity.mean(1, keepdim=True))
-                total, norm = total + weight * similarity, norm + weight
-            slices.append(total / norm.clamp_min(1e-6))
-        return self.alpha[level] * torch.cat(slices, dim=2)
+        total = norm = torch.zeros((), device=reference.device)
+        for i, (source, (rotated, shifted)) in enumerate(zip(sources, terms, strict=True)):
+            warped, seen = warp(source, rotated, shifted, inverse_depth)
+            product = (warped * scaled).reshape(b, k, c // k, *inverse_depth.shape[1:])
+            similarity = product.sum(2) if c > k else product[:, :, 0]
+            weight = weights[:, i].view(-1, 1, 1, 1, 1)
+            if self.config.visibility:
+                weight = weight * seen * torch.exp(self.beta[level] * similarity.mean(1, keepdim=True))
+            total, norm = total + weight * similarity, norm + weight
+        return self.alpha[level] * total / norm.clamp_min(1e-6)
 
     def forward(
         self, images: Tensor, K: Tensor, cam_from_world: Tensor, near: Tensor, far: Tensor, scores: Tensor
