@@ -21,6 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import curecon_blender
 from curecon_blender.core.errors import CuReconError
+from curecon_blender.scene.points import about_the_subject
 from curecon_blender.scene.workspace import Imported, import_workspace
 
 WIDTH, HEIGHT, SAMPLES = 1280, 720, 16
@@ -75,7 +76,7 @@ def add_light(scene: bpy.types.Scene) -> None:
 
 
 def add_view(scene: bpy.types.Scene, imported: Imported) -> None:
-    """An oblique camera that holds the whole of the largest cloud, outliers aside, and becomes the active one.
+    """An oblique camera that holds the largest cloud, without what lies far from most of it; it becomes the active one.
 
     It looks from where most photos were taken, so that the recorded sides show.
     """
@@ -85,8 +86,7 @@ def add_view(scene: bpy.types.Scene, imported: Imported) -> None:
         values = np.empty(len(data.points) * 3, np.float32)
         data.attributes["position"].data.foreach_get("vector", values)
         points = values.reshape(-1, 3)[:50_000].astype(float)  # stored in random order: a fair sample
-        low, high = np.percentile(points, [0.5, 99.5], axis=0)
-        points = points[np.all((points >= low) & (points <= high), axis=1)]
+        points = about_the_subject(points) if len(points) else points
     else:
         points = positions
     if not len(points):

@@ -16,6 +16,7 @@ VOXELS_PER_SPACING = 10  # about 20 points of a surface fall into a voxel of the
 HASH_BITS = 24
 LARGEST_RADIUS = 1.5  # times the median: a lone point is no surface, and a big disc would hide what is behind it
 CLOSING = 1.2  # discs of radius 1.2 / sqrt(density) leave 1 % of a randomly sampled surface open
+SUBJECT = 2.5  # times the median distance from the middle: what a view holds
 SPACING_CELLS = 64  # along the longest side, for the spacing estimate
 SPACING_SAMPLES = 48
 
@@ -89,6 +90,14 @@ def spacing(points: np.ndarray) -> float:
     distances = np.sqrt(np.concatenate(nearest))
     distances = distances[np.isfinite(distances)]
     return float(np.median(distances)) if len(distances) else cell
+
+
+def about_the_subject(points: np.ndarray) -> np.ndarray:
+    """Those of points (N,3), at least one, that a view should hold: photos show far land, too, and a view of all of it
+    would show no building."""
+    distance = np.linalg.norm(points - np.median(points, axis=0), axis=1)
+    kept: np.ndarray = points[distance <= SUBJECT * np.median(distance)]
+    return kept
 
 
 def colour_material() -> bpy.types.Material:

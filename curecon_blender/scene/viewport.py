@@ -17,7 +17,7 @@ import gpu
 import numpy as np
 from bpy.app.handlers import persistent
 
-from .points import CLOUD_KEY, COLOUR
+from .points import CLOUD_KEY, COLOUR, about_the_subject
 
 MAX_POINT_PIXELS = 40.0
 MIN_POINT_PIXELS = 2.0
@@ -74,10 +74,8 @@ def redraw() -> None:
 
 
 def frame(context: bpy.types.Context, points: bpy.types.Object) -> None:
-    """Turn every 3D viewport of the window to the whole of the cloud, from obliquely above, with fitting clip planes.
-
-    Far outliers do not count. Viewports in camera view leave it.
-    """
+    """Turn every 3D viewport of the window to the cloud, without what lies far from most of it, from obliquely above,
+    with fitting clip planes. Viewports in camera view leave it."""
     from mathutils import Euler, Vector
 
     count = len(points.data.points)
@@ -85,7 +83,7 @@ def frame(context: bpy.types.Context, points: bpy.types.Object) -> None:
         return
     positions = np.empty(count * 3, np.float32)
     points.data.attributes["position"].data.foreach_get("vector", positions)
-    low, high = np.percentile(positions.reshape(-1, 3)[:100_000], [2, 98], axis=0)
+    low, high = np.percentile(about_the_subject(positions.reshape(-1, 3)[:100_000]), [2, 98], axis=0)
     centre, size = (low + high) / 2, float(np.linalg.norm(high - low))
     for area in context.window.screen.areas if context.window is not None else ():
         if area.type != "VIEW_3D":
