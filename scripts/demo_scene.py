@@ -85,8 +85,8 @@ def add_view(scene: bpy.types.Scene, imported: Imported) -> None:
         data = imported.clouds[0].data
         values = np.empty(len(data.points) * 3, np.float32)
         data.attributes["position"].data.foreach_get("vector", values)
-        points = values.reshape(-1, 3)[:50_000].astype(float)  # stored in random order: a fair sample
-        points = about_the_subject(points) if len(points) else points
+        # Stored in random order: the first are a fair sample.
+        points = about_the_subject(values.reshape(-1, 3)[:50_000].astype(float))
     else:
         points = positions
     if not len(points):

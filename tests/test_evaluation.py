@@ -28,7 +28,7 @@ from curecon_blender.core.messages import Reporter
 from curecon_blender.core.options import Options
 from curecon_blender.core.ply import Cloud, CloudWriter, read_cloud
 from curecon_blender.core.types import Frame, GeoPosition, View
-from evaluation import cloud_metrics, depth_metrics, plane_sweep, site, validation
+from evaluation import cloud_metrics, depth_metrics, plane_sweep, site
 from evaluation.alignment import align, read_centres
 from evaluation.depth_metrics import DepthRange, depth_errors
 from training.generator import Scene, save
@@ -403,8 +403,9 @@ def test_site_report(tmp_path: Path) -> None:
     assert missing.returncode == WorkspaceError.exit_code and "make_site.py depth" in missing.stderr
 
 
-@pytest.mark.parametrize("method", ["plane_sweep_method", "patchmatch_method"])
-def test_every_method_of_the_validation_finds_the_box(method: str, tmp_path: Path) -> None:
+# The network may be 2 % of the distance off, as in test_network.py: its training will change it.
+@pytest.mark.parametrize(("method", "metres"), [("network", 0.12), ("plane-sweep", 0.05), ("patchmatch", 0.05)])
+def test_every_method_of_the_validation_finds_the_box(method: str, metres: float, tmp_path: Path) -> None:
     views = [make_view(i, 30) for i in range(5)]
     depth, pictures = zip(*(cast(view) for view in views), strict=True)
     rng = np.random.default_rng(0)
@@ -412,5 +413,5 @@ def test_every_method_of_the_validation_finds_the_box(method: str, tmp_path: Pat
     scene = Scene(np.stack(pictures), np.stack(depth), np.stack([v.K for v in views]),
                   np.stack([v.cam_from_world for v in views]), points.astype(np.float32), np.ones((5, 300), bool))
     save(scene, tmp_path / "1.npz")
-    result = validation.measure(getattr(validation, method), [tmp_path / "1.npz"], references=1, sources=4)
-    assert result.errors.median < 0.05 and result.errors.coverage > 50
+    errors = answer("validation", tmp_path, "--methods", method, "--references", 1)[method]["errors"]
+    assert errors["median"] < metres and errors["coverage"] > 50

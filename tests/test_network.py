@@ -21,6 +21,7 @@ from curecon_blender.core.network import (
     decode_unified,
     depth_from_t,
     homography_terms,
+    pixel_grid,
     t_from_depth,
     warp,
 )
@@ -38,12 +39,13 @@ def test_a_source_warped_at_the_true_depth_is_the_reference() -> None:
     depth, picture = cast(reference)
     _, other = cast(source)
     poses = tensor(np.stack([reference.cam_from_world, source.cam_from_world]))
+    pixels = pixel_grid(torch.arange(depth.shape[1]) + 0.5, torch.arange(depth.shape[0]) + 0.5)
 
     def difference(shift_u: float, shift_v: float) -> float:
         """Median difference in grey levels, with the source's principal point moved by so many pixels."""
         K = source.K + np.array([[0, 0, shift_u], [0, 0, shift_v], [0, 0, 0]])
         with torch.autocast("cpu", torch.bfloat16):  # of the convolutions alone
-            terms = homography_terms(tensor(np.stack([reference.K, K])), poses, 1, *depth.shape)
+            terms = homography_terms(tensor(np.stack([reference.K, K])), poses, 1, pixels)
             warped, _ = warp(tensor(other.transpose(2, 0, 1)), *terms, tensor(1 / np.maximum(depth, 1e-3)[None]))
         return float(np.median(np.abs(warped[0, :, 0].numpy().transpose(1, 2, 0) - picture)[depth > 0]))
 

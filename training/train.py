@@ -247,6 +247,7 @@ def train(rank: int, options: argparse.Namespace, rendezvous: str) -> None:
                 save(state, options.run)
                 saved = time.monotonic()
         stop.set()
+        feeder.join()  # a thread that still works when its process ends can abort it
         if rank == 0:
             save(state, options.run)
             print(f"{state.earlier + state.samples} samples seen; state in {options.run / 'state.pt'}")

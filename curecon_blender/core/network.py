@@ -12,7 +12,9 @@ l = 2, 1, 0 works at 1/4, 1/2, 1/1 of the photo. Pixel centres lie at .5. Depth 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import torch
@@ -170,25 +172,23 @@ def level_intrinsics(K: Tensor, level: int) -> Tensor:
     return K * scale.view(3, 1)
 
 
-def homography_terms(
-    K: Tensor, cam_from_world: Tensor, source: int, height: int, width: int
-) -> tuple[Tensor, Tensor]:
+def homography_terms(K: Tensor, cam_from_world: Tensor, source: int, pixels: Tensor) -> tuple[Tensor, Tensor]:
     """Terms of the plane homographies from view 0 to view `source`, for (B,V,3,3) intrinsics and (B,V,3,4) poses.
 
-    A pixel at inverse depth w maps to rotated + w * shifted, homogeneous: (B,3,h*w) and (B,3,1).
+    A pixel of `pixels` (1,3,P), homogeneous, at inverse depth w maps to rotated + w * shifted: (B,3,P) and (B,3,1).
     """
     # Autocast would multiply these matrices in bf16, whose eight bits put a source several pixels off its place.
     with torch.autocast(K.device.type, enabled=False):
         src_from_ref = relative_pose(cam_from_world[:, source], cam_from_world[:, 0])
-        y, x = torch.meshgrid(
-            torch.arange(height, device=K.device, dtype=K.dtype) + 0.5,
-            torch.arange(width, device=K.device, dtype=K.dtype) + 0.5,
-            indexing="ij",
-        )
-        pixels = torch.stack([x, y, torch.ones_like(x)]).reshape(1, 3, -1)
         rotated = K[:, source] @ src_from_ref[:, :, :3] @ torch.linalg.inv(K[:, 0]) @ pixels
         shifted = K[:, source] @ src_from_ref[:, :, 3:]
     return rotated, shifted
+
+
+def pixel_grid(x: Tensor, y: Tensor) -> Tensor:
+    """(1,3,h*w) homogeneous pixels of the columns x (w,) and rows y (h,)."""
+    rows, columns = torch.meshgrid(y, x, indexing="ij")
+    return torch.stack([columns, rows, torch.ones_like(rows)]).reshape(1, 3, -1)
 
 
 def warp(feature: Tensor, rotated: Tensor, shifted: Tensor, inverse_depth: Tensor) -> tuple[Tensor, Tensor]:
@@ -205,6 +205,21 @@ def warp(feature: Tensor, rotated: Tensor, shifted: Tensor, inverse_depth: Tenso
     grid = grid.permute(0, 2, 3, 1).reshape(b, m * h, w, 2)
     warped = F.grid_sample(feature, grid, mode="bilinear", padding_mode="zeros", align_corners=False)
     return warped.reshape(b, -1, m, h, w), seen
+
+
+def in_slices(volume: Callable[[Tensor], Tensor], inverse_depth: Tensor, groups: int, step: int) -> Tensor:
+    """`volume` of inverse depths (B,M,h,w), `step` hypotheses at a time, in the type and layout that the regulariser
+    takes: (B,groups,M,h,w). The warped features, not the volume, are what is large."""
+    b, m, h, w = inverse_depth.shape
+    device = inverse_depth.device
+    autocast = torch.is_autocast_enabled(device.type)
+    filled = torch.empty(
+        (b, groups, m, h, w), device=device, memory_format=torch.channels_last_3d,
+        dtype=torch.get_autocast_dtype(device.type) if autocast else inverse_depth.dtype,
+    )
+    for at in range(0, m, step):
+        filled[:, :, at : at + step] = volume(inverse_depth[:, at : at + step])
+    return filled
 
 
 class LCMMVSNet(nn.Module):
@@ -255,30 +270,7 @@ class LCMMVSNet(nn.Module):
         inverse_depth: Tensor,
     ) -> Tensor:
         """Eq. 2, the learnable cost metric: (B,K,M,h,w) from the reference's features (B,C,h,w), each source's, and
-        weights S_i / sum S (B,N), which `visibility` refines for each voxel. Without gradients it is filled slice by
-        slice, in the type that the regulariser takes it in: the warped features, not the volume, are what is large."""
-        if torch.is_grad_enabled():
-            return self._mean_similarity(level, reference, sources, terms, weights, inverse_depth)
-        b, c, h, w = reference.shape
-        device = reference.device.type
-        dtype = torch.get_autocast_dtype(device) if torch.is_autocast_enabled(device) else reference.dtype
-        cost = torch.empty((b, self.config.groups[level], inverse_depth.shape[1], h, w), dtype=dtype,
-                           device=reference.device, memory_format=torch.channels_last_3d)
-        step = max(1, SLICE_BYTES // (4 * c * h * w))
-        for at in range(0, inverse_depth.shape[1], step):
-            some = slice(at, at + step)
-            cost[:, :, some] = self._mean_similarity(level, reference, sources, terms, weights, inverse_depth[:, some])
-        return cost
-
-    def _mean_similarity(
-        self,
-        level: int,
-        reference: Tensor,
-        sources: list[Tensor],
-        terms: list[tuple[Tensor, Tensor]],
-        weights: Tensor,
-        inverse_depth: Tensor,
-    ) -> Tensor:
+        weights S_i / sum S (B,N), which `visibility` refines for each voxel."""
         b, c = reference.shape[:2]
         k = self.config.groups[level]
         scaled = (reference * (k / c)).unsqueeze(2)  # the mean over a group's channels becomes a sum
@@ -345,10 +337,14 @@ class LCMMVSNet(nn.Module):
                 first = torch.zeros(reference[level].shape[0], 1, h, w, device=reference[level].device)
             steps = (torch.arange(m, device=first.device, dtype=first.dtype).view(1, m, 1, 1) + middle) * interval
             inverse_depth = 1.0 / depth_from_t(first + steps, near, far)
-            terms = [homography_terms(level_intrinsics(K, level), cam_from_world, i + 1, h, w)
+            pixels = pixel_grid(*(torch.arange(n, device=K.device, dtype=K.dtype) + 0.5 for n in (w, h)))
+            terms = [homography_terms(level_intrinsics(K, level), cam_from_world, i + 1, pixels)
                      for i in range(len(sources))]
-            cost = self.cost_volume(
-                level, reference[level].float(), [s[level].float() for s in sources], terms, weights, inverse_depth
+            volume = partial(
+                self.cost_volume, level, reference[level].float(), [s[level].float() for s in sources], terms, weights
+            )
+            cost = volume(inverse_depth) if torch.is_grad_enabled() else in_slices(
+                volume, inverse_depth, config.groups[level], max(1, SLICE_BYTES // (4 * config.channels[level] * h * w))
             )
             logits = self.regularisers[level](cost).float()
             decode = decode_linear if config.representation == "linear" else decode_unified
@@ -392,14 +388,11 @@ def mean_disparity(
     Measured by the speed at the middle of the sweep, at nine pixels of a reference of `size` (W, H), since the ends
     of a sweep often lie outside or behind a source. Shapes as for LCMMVSNet.forward.
     """
-    xs, ys = (torch.tensor([0.2, 0.5, 0.8], device=K.device) * length for length in size)
-    pixels = torch.stack([*torch.meshgrid(xs, ys, indexing="ij"), torch.ones(3, 3, device=K.device)]).reshape(1, 3, 9)
+    pixels = pixel_grid(*(torch.tensor([0.2, 0.5, 0.8], device=K.device) * length for length in size))
     middle, span = (1 / near + 1 / far) / 2, 1 / near - 1 / far
     speeds = []
     for i in range(1, K.shape[1]):
-        pose = relative_pose(cam_from_world[:, i], cam_from_world[:, 0])
-        rotated = K[:, i] @ pose[:, :, :3] @ torch.linalg.inv(K[:, 0]) @ pixels
-        shifted = K[:, i] @ pose[:, :, 3:]
+        rotated, shifted = homography_terms(K, cam_from_world, i, pixels)
         homogeneous = rotated + middle.view(-1, 1, 1) * shifted
         z = homogeneous[:, 2:]
         velocity = (shifted[:, :2] - homogeneous[:, :2] / z * shifted[:, 2:]) / z

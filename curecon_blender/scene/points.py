@@ -93,8 +93,10 @@ def spacing(points: np.ndarray) -> float:
 
 
 def about_the_subject(points: np.ndarray) -> np.ndarray:
-    """Those of points (N,3), at least one, that a view should hold: photos show far land, too, and a view of all of it
-    would show no building."""
+    """Those of points (N,3) that a view should hold: photos show far land, too, and a view of all of it would show no
+    building."""
+    if not len(points):
+        return points
     distance = np.linalg.norm(points - np.median(points, axis=0), axis=1)
     kept: np.ndarray = points[distance <= SUBJECT * np.median(distance)]
     return kept
