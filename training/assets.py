@@ -207,8 +207,12 @@ class Assets:
         held: list[str] = []
         for item in manifest:
             self._names.setdefault(item["cls"], []).append(item["file"])
-            # Models re-used under another name have the same face count: hashing that keeps copies on one side.
-            if item["cls"] == "building" and zlib.crc32(str(item["faces"]).encode()) % 100 < HELD_OUT_PERCENT:
+            if item["cls"] != "building":
+                continue
+            # Models re-used under another name have the same face count: hashing that keeps copies on one side, where
+            # the manifest does not say it.
+            by_hash = zlib.crc32(str(item["faces"]).encode()) % 100 < HELD_OUT_PERCENT
+            if item.get("held_out", by_hash):
                 held.append(item["file"])
         self._held_out = frozenset(held)
         self._lighting = json.loads((self.folder / "skies" / "sh9.json").read_text())

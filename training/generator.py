@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Training scenes: pictures, exact depth, cameras and a sparse model as structure from motion would give it.
 
-python -m training.generator --assets DIR --out DIR --count N --start-seed S --size 512x384 --views 7 [--held-out]
+python -m training.generator --assets DIR --out DIR --count N --start-seed S --size 512x384 [--views 7] [--held-out]
 """
 
 import argparse
@@ -21,6 +21,7 @@ PREVIEW = (96, 72)  # pixels of the quick look at a rig
 MIN_POINTS, MAX_POINTS = 300, 3000
 # Far/near ratios that a scene may have, by rig; looking level, one sees far beyond the subject.
 MAX_RATIOS = {"orbit": (5, 8, 25), "nadir": (5, 8, 25), "facade": (8, 20, 50), "hand": (8, 20, 50)}
+FEWEST_VIEWS, MOST_VIEWS = 5, 11
 TRIES = 10  # rigs drawn for one world before another world is drawn
 
 
@@ -69,10 +70,13 @@ class Generator:
         self.renderer = Renderer(self.assets)
 
     def generate(
-        self, seed: int, size: tuple[int, int], views: int = 7, held_out: bool = False, pose_noise: bool = True
+        self, seed: int, size: tuple[int, int], views: int | None = 7, held_out: bool = False, pose_noise: bool = True
     ) -> Scene:
-        """The scene of a seed; `size` is (W, H).  The same arguments give the same scene on one machine."""
+        """The scene of a seed; `size` is (W, H), and None for `views` draws their number.  The same arguments give the
+        same scene on one machine."""
         rng = np.random.default_rng([seed, int(held_out)])
+        if views is None:
+            views = int(rng.integers(FEWEST_VIEWS, MOST_VIEWS + 1))
         while True:
             world = compose(self.assets, rng, held_out)
             self.renderer.upload(world)
@@ -249,7 +253,8 @@ _GENERATORS: dict[Path, Generator] = {}
 
 
 def generate(
-    assets: Path, seed: int, size: tuple[int, int], views: int = 7, held_out: bool = False, pose_noise: bool = True
+    assets: Path, seed: int, size: tuple[int, int], views: int | None = 7, held_out: bool = False,
+    pose_noise: bool = True,
 ) -> Scene:
     """The scene of a seed, with one Generator kept for each asset folder."""
     key = Path(assets).resolve()
@@ -265,22 +270,23 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=10)
     parser.add_argument("--start-seed", type=int, default=0)
     parser.add_argument("--size", default="512x384", help="WIDTHxHEIGHT in pixels")
-    parser.add_argument("--views", type=int, default=7)
+    parser.add_argument("--views", type=int, help=f"photos a scene (default: drawn, {FEWEST_VIEWS} to {MOST_VIEWS})")
     parser.add_argument("--held-out", action="store_true", help="use only the buildings kept for evaluation")
     options = parser.parse_args()
     width, height = (int(n) for n in options.size.split("x"))
     options.out.mkdir(parents=True, exist_ok=True)
     generator = Generator(options.assets)
     began = time.perf_counter()
-    made = 0
+    made = images = 0
     for seed in range(options.start_seed, options.start_seed + options.count):
         path = options.out / f"{seed}.npz"
         if path.exists():
             continue
-        save(generator.generate(seed, (width, height), options.views, options.held_out), path)
-        made += 1
-        rate = made / (time.perf_counter() - began)
-        print(f"{path.name}: {rate:.2f} scenes/s, {rate * options.views:.1f} images/s", flush=True)
+        scene = generator.generate(seed, (width, height), options.views, options.held_out)
+        save(scene, path)
+        made, images = made + 1, images + len(scene.images)
+        seconds = time.perf_counter() - began
+        print(f"{path.name}: {made / seconds:.2f} scenes/s, {images / seconds:.1f} images/s", flush=True)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,6 @@ from types import TracebackType
 import numpy as np
 
 SIZE = (768, 576)  # width, height of the rendered photos
-VIEWS = 7
 
 
 def _render(folder: Path, assets: Path, capacity: int, index: int, count: int, stop: Event) -> None:
@@ -25,7 +24,7 @@ def _render(folder: Path, assets: Path, capacity: int, index: int, count: int, s
     done = [int(p.stem) for p in folder.glob("*.npz")]
     seed = max([s for s in done if s % count == index], default=index - count) + count
     while not stop.is_set():
-        save(generator.generate(seed, SIZE, VIEWS), folder / f"{seed}.npz")
+        save(generator.generate(seed, SIZE, views=None), folder / f"{seed}.npz")
         seed += count
         scenes = sorted(folder.glob("*.npz"), key=lambda p: int(p.stem))
         for old in scenes[: max(0, len(scenes) - capacity)]:

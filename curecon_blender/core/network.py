@@ -40,6 +40,8 @@ class NetworkConfig:
     `cosine`: features are scaled to unit length, so that a match is worth as much in shade as in the sun.
     `visibility`: a source that agrees better at a voxel has more say there, by a learned factor, and one that does not
     see the voxel has none: beside an edge the sources that look behind it are outvoted.
+    `context`: channels of the reference's own features that each level's regulariser sees beside the cost volume, so
+    that it knows where a surface may end and what no source can tell. 0: none, as in the paper.
     """
 
     channels: tuple[int, int, int] = (8, 16, 32)
@@ -52,11 +54,12 @@ class NetworkConfig:
     representation: Literal["linear", "unified"] = "linear"
     cosine: bool = True
     visibility: bool = True
+    context: int = 4
     # Confidence: weights of the levels' logit shares, then the constant; fitted by training/export.py.
     calibration: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 0.0)
 
 
-PAPER = NetworkConfig(hypothesis_step=None, representation="unified", cosine=False, visibility=False)
+PAPER = NetworkConfig(hypothesis_step=None, representation="unified", cosine=False, visibility=False, context=0)
 
 
 @dataclass(frozen=True)
@@ -139,10 +142,10 @@ class FeaturePyramid(nn.Module):
 class CostRegulariser(nn.Module):
     """Four-scale 3D U-Net: cost volume (B,K,M,h,w) to logits (B,M,h,w). M, h and w must divide by 8."""
 
-    def __init__(self, groups: int, base: int) -> None:
+    def __init__(self, inputs: int, base: int) -> None:
         super().__init__()
         c = [base, base * 2, base * 4, base * 8]
-        self.enter = _conv3d(groups, c[0])
+        self.enter = _conv3d(inputs, c[0])
         self.down = nn.ModuleList(
             nn.Sequential(_conv3d(c[i], c[i + 1], stride=2), _conv3d(c[i + 1], c[i + 1])) for i in range(3)
         )
@@ -207,18 +210,22 @@ def warp(feature: Tensor, rotated: Tensor, shifted: Tensor, inverse_depth: Tenso
     return warped.reshape(b, -1, m, h, w), seen
 
 
-def in_slices(volume: Callable[[Tensor], Tensor], inverse_depth: Tensor, groups: int, step: int) -> Tensor:
-    """`volume` of inverse depths (B,M,h,w), `step` hypotheses at a time, in the type and layout that the regulariser
-    takes: (B,groups,M,h,w). The warped features, not the volume, are what is large."""
+def in_slices(
+    volume: Callable[[Tensor], Tensor], inverse_depth: Tensor, context: Tensor, groups: int, step: int
+) -> Tensor:
+    """`volume` of inverse depths (B,M,h,w), `step` hypotheses at a time, with the context (B,C,1,h,w) behind it, in the
+    type and layout that the regulariser takes: (B,groups+C,M,h,w). The warped features, not the volume, are what is
+    large."""
     b, m, h, w = inverse_depth.shape
     device = inverse_depth.device
     autocast = torch.is_autocast_enabled(device.type)
     filled = torch.empty(
-        (b, groups, m, h, w), device=device, memory_format=torch.channels_last_3d,
+        (b, groups + context.shape[1], m, h, w), device=device, memory_format=torch.channels_last_3d,
         dtype=torch.get_autocast_dtype(device.type) if autocast else inverse_depth.dtype,
     )
     for at in range(0, m, step):
-        filled[:, :, at : at + step] = volume(inverse_depth[:, at : at + step])
+        filled[:, :groups, at : at + step] = volume(inverse_depth[:, at : at + step])
+    filled[:, groups:] = context
     return filled
 
 
@@ -230,8 +237,11 @@ class LCMMVSNet(nn.Module):
         self.config = config or NetworkConfig()
         self.features = FeaturePyramid(self.config.channels, self.config.bottom_up)
         self.regularisers = nn.ModuleList(
-            CostRegulariser(self.config.groups[level], self.config.regulariser_channels) for level in range(3)
+            CostRegulariser(self.config.groups[level] + self.config.context, self.config.regulariser_channels)
+            for level in range(3)
         )
+        if self.config.context:
+            self.context = nn.ModuleList(nn.Conv2d(c, self.config.context, 1) for c in self.config.channels)
         self.alpha = nn.Parameter(torch.ones(3))  # alpha_l of Eq. 2
         if self.config.visibility:
             self.beta = nn.Parameter(torch.full((3,), 2.0))  # how much more a cosine of 1 counts, as a logarithm
@@ -256,9 +266,7 @@ class LCMMVSNet(nn.Module):
     def pyramid(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Features of (B,3,H,W) colours in [0, 1], by level 0, 1, 2."""
         features: tuple[Tensor, Tensor, Tensor] = self.features((images - 0.45) / 0.25)
-        if not self.config.cosine:
-            return features
-        return tuple(_unit(f) for f in features)  # type: ignore[return-value]
+        return features
 
     def cost_volume(
         self,
@@ -340,12 +348,17 @@ class LCMMVSNet(nn.Module):
             pixels = pixel_grid(*(torch.arange(n, device=K.device, dtype=K.dtype) + 0.5 for n in (w, h)))
             terms = [homography_terms(level_intrinsics(K, level), cam_from_world, i + 1, pixels)
                      for i in range(len(sources))]
-            volume = partial(
-                self.cost_volume, level, reference[level].float(), [s[level].float() for s in sources], terms, weights
-            )
-            cost = volume(inverse_depth) if torch.is_grad_enabled() else in_slices(
-                volume, inverse_depth, config.groups[level], max(1, SLICE_BYTES // (4 * config.channels[level] * h * w))
-            )
+            matched = [view[level].float() for view in (reference, *sources)]
+            if config.cosine:
+                matched = [_unit(features) for features in matched]
+            volume = partial(self.cost_volume, level, matched[0], matched[1:], terms, weights)
+            context = self.context[level](reference[level]) if config.context else reference[level][:, :0]
+            context = context.unsqueeze(2)
+            if torch.is_grad_enabled():
+                cost = torch.cat([volume(inverse_depth), context.expand(-1, -1, m, -1, -1)], 1)
+            else:
+                step = max(1, SLICE_BYTES // (4 * config.channels[level] * h * w))
+                cost = in_slices(volume, inverse_depth, context, config.groups[level], step)
             logits = self.regularisers[level](cost).float()
             decode = decode_linear if config.representation == "linear" else decode_unified
             outputs.append(LevelOutput(logits, first, interval, *decode(logits, first, interval)))
