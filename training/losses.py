@@ -60,14 +60,19 @@ def cross_entropy(output: LevelOutput, t: Tensor, valid: Tensor) -> Tensor:
     return (per_pixel * reached).sum() / valid.sum().clamp_min(1)
 
 
+def at_level(values: Tensor, level: int) -> Tensor:
+    """(B,1,H,W) at a level's resolution: for each of its pixels a full one beside its centre."""
+    step = 2**level
+    return values[..., step // 2 :: step, step // 2 :: step]
+
+
 def total_loss(outputs: list[LevelOutput], t: Tensor, valid: Tensor, representation: str) -> Tensor:
     """Levels together; `t`, `valid` (B,1,H,W) at full resolution; `representation` as in NetworkConfig."""
     loss = t.new_zeros(())
     for level, output in zip((2, 1, 0), outputs, strict=True):
-        step = 2**level
-        pick = (..., slice(step // 2, None, step), slice(step // 2, None, step))  # a pixel beside the level's centre
+        truth, counted = at_level(t, level), at_level(valid, level)
         if representation == "linear":
-            loss = loss + cross_entropy(output, t[pick], valid[pick])
+            loss = loss + cross_entropy(output, truth, counted)
         else:
-            loss = loss + LEVEL_WEIGHT[level] * unified_focal_loss(output, t[pick], valid[pick], level)
+            loss = loss + LEVEL_WEIGHT[level] * unified_focal_loss(output, truth, counted, level)
     return loss

@@ -21,6 +21,7 @@ import signal
 import tempfile
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -165,7 +166,9 @@ def average_gradients(network: LCMMVSNet) -> None:
         gradient.copy_(mean.view_as(gradient))
 
 
-def step(state: State, batch: dict[str, Tensor], horizon: int, bf16: bool) -> dict[str, float]:
+def step(
+    state: State, batch: dict[str, Tensor], horizon: int, bf16: bool, loss: Callable[..., Tensor] = total_loss
+) -> dict[str, float]:
     """One optimiser step, with the other processes if there are any; returns the figures for the log."""
     for group in state.optimiser.param_groups:
         group["lr"] = learning_rate(state.samples, horizon)
@@ -175,9 +178,9 @@ def step(state: State, batch: dict[str, Tensor], horizon: int, bf16: bool) -> di
     valid = (depth > 0) & (t >= 0) & (t < 1)
     with torch.autocast(depth.device.type, torch.bfloat16, enabled=bf16):
         outputs = state.network(*(batch[k] for k in ("images", "K", "cam_from_world", "near", "far", "scores")))
-    loss = total_loss(outputs, t, valid, state.network.config.representation)
+    value = loss(outputs, t, valid, state.network.config.representation)
     state.optimiser.zero_grad(set_to_none=True)
-    loss.backward()
+    value.backward()
     if dist.is_initialized():
         average_gradients(state.network)
     norm = torch.nn.utils.clip_grad_norm_(state.network.parameters(), GRADIENT_NORM)
@@ -188,7 +191,7 @@ def step(state: State, batch: dict[str, Tensor], horizon: int, bf16: bool) -> di
     update_ema(state)
     error = ((outputs[-1].t - t).abs() * 128)[valid]  # in BlendedMVS's depth intervals
     pixels = max(len(error), 1)
-    return {"loss": loss.item(), "epe": error.clamp_max(64).sum().item() / pixels,
+    return {"loss": value.item(), "epe": error.clamp_max(64).sum().item() / pixels,
             "e1": (error > 1).sum().item() / pixels * 100, "e3": (error > 3).sum().item() / pixels * 100}
 
 
