@@ -8,8 +8,8 @@
 Every method gets the same references, the same four sources by Algorithm 1, and the same depth range from the sparse
 points. The depth interval is that of BlendedMVS, 1/128 of the reference's true range (1st to 99th percentile).
 PatchMatch is that of the package pyarchinit-photogrammetry-core; it fills only where it is sure enough, so its errors
-are over fewer pixels: read them with its coverage. `sure` is the share of pixels with confidence above 0.9, and
-`within 1` how many of those are within one interval.
+are over fewer pixels: read them with its coverage. A second table counts only the pixels that at least two of the
+sources really see: the others can be guessed but not measured.
 """
 
 from __future__ import annotations
@@ -33,20 +33,24 @@ from curecon_blender.core.options import Options
 from curecon_blender.core.types import View
 from curecon_blender.core.weights import load_network
 from training.dataset import source_scores, sparse_depth_range
-from training.generator import Scene, load
+from training.generator import Scene, back_project, load, project
 
 from . import depth_metrics, plane_sweep
 from .depth_metrics import DepthErrors
 
 SURE = 0.9
+OBSERVERS = 2
+OCCLUSION = 0.01  # relative depth by which a source may see something nearer and still see the pixel
 Estimate = tuple[np.ndarray, np.ndarray]  # depth (H,W), 0 where none, and confidence (H,W)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """One method over all references. `seconds` is CPU time a reference."""
+    """One method over all references. `observed`: over the pixels that at least OBSERVERS sources see. `sure`: percent
+    of the pixels with confidence above SURE, and of those within one interval. `seconds`: CPU time a reference."""
 
     errors: DepthErrors
+    observed: DepthErrors
     sure: float
     sure_within_one: float
     seconds: float
@@ -74,6 +78,22 @@ def views_of(scene: Scene, folder: Path, references: int, sources: int) -> list[
         (view(reference, near, far, scored), reference, [view(n, near, far, []) for n, _ in scored])
         for reference, near, far, scored in chosen[step // 2 :: step][:references]
     ]
+
+
+def observers(scene: Scene, reference: int, sources: list[int]) -> np.ndarray:
+    """(H,W) int: how many of the sources see the surface that each pixel of the reference shows."""
+    height, width = scene.depth.shape[1:]
+    truth = scene.depth[reference].reshape(-1)
+    rows, columns = np.mgrid[:height, :width] + 0.5
+    world = back_project(scene.K[reference], scene.cam_from_world[reference],
+                         np.column_stack([columns.ravel(), rows.ravel()]), truth)
+    count = np.zeros(height * width, int)
+    for source in sources:
+        pixels, depth = project(scene.K[source], scene.cam_from_world[source], world)
+        inside = (depth > 0) & (pixels > 0).all(1) & (pixels[:, 0] < width) & (pixels[:, 1] < height)
+        column, row = np.where(inside[:, None], pixels, 0).astype(int).T
+        count += inside & (np.abs(scene.depth[source][row, column] - depth) < OCCLUSION * depth)
+    return np.where(truth > 0, count, 0).reshape(height, width)
 
 
 def network_method(weights: Path | None) -> Callable[[View, list[View], Path], Estimate]:
@@ -115,7 +135,7 @@ def measure(
     method: Callable[[View, list[View], Path], Estimate], scenes: list[Path], references: int, sources: int
 ) -> Result:
     """Mean errors of a method over the references of all scenes."""
-    errors, seconds = [], []
+    errors, observed, seconds = [], [], []
     sure = within = pixels = 0
     for path in scenes:
         scene = load(path)
@@ -127,11 +147,14 @@ def measure(
                 truth = scene.depth[reference]
                 true_range = depth_metrics.true_range(truth)
                 errors.append(depth_metrics.depth_errors(depth, truth, true_range))
+                seen = observers(scene, reference, [int(v.name) for v in others]) >= OBSERVERS
+                observed.append(depth_metrics.depth_errors(depth, np.where(seen, truth, 0), true_range))
                 counted = (truth >= true_range.near) & (truth <= true_range.far)
                 confident = counted & (confidence > SURE)
                 sure, pixels = sure + int(confident.sum()), pixels + int(counted.sum())
                 within += int((np.abs(depth - truth)[confident] < true_range.interval).sum())
-    return Result(errors=depth_metrics.mean_errors(errors), sure=100 * sure / max(pixels, 1),
+    return Result(errors=depth_metrics.mean_errors(errors), observed=depth_metrics.mean_errors(observed),
+                  sure=100 * sure / max(pixels, 1),
                   sure_within_one=100 * within / max(sure, 1), seconds=float(np.mean(seconds)))
 
 
@@ -156,7 +179,10 @@ def main(arguments: list[str] | None = None) -> int:
     if args.json:
         print(json.dumps({name: asdict(result) for name, result in results.items()}))
         return 0
+    print("All pixels")
     print(depth_metrics.table({name: r.errors for name, r in results.items()}))
+    print(f"Pixels that at least {OBSERVERS} sources see")
+    print(depth_metrics.table({name: r.observed for name, r in results.items()}))
     for name, r in results.items():
         print(f"{name:24}{r.sure:5.1f} % with confidence above {SURE}, {r.sure_within_one:5.1f} % of them within one "
               f"interval; {r.seconds:.1f} CPU s a reference")

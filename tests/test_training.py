@@ -4,6 +4,15 @@
 
 from __future__ import annotations
 
+import io
+import json
+import os
+import signal
+import struct
+import subprocess
+import sys
+import time
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +20,10 @@ import pytest
 import torch
 from box_scene import BOX, cast, make_view
 from conftest import ROOT
+from PIL import Image
 
+from training import build_assets, generator
+from training.assets import Assets
 from training.dataset import Sample, training_sample
 from training.generator import Scene
 from training.train import State, batch_tensors, restart, save, start, step
@@ -113,3 +125,69 @@ def test_rendered_scenes_are_geometrically_exact() -> None:
             assert np.median(relative[relative < 0.05]) < 0.01
             checked += 1
     assert checked
+
+
+def test_two_processes_train_one_network_and_stop_together(scene: Scene, tmp_path: Path) -> None:
+    (tmp_path / "scenes").mkdir()
+    generator.save(scene, tmp_path / "scenes" / "1.npz")
+    command = [sys.executable, "-m", "training.train", "--assets", str(ASSETS), "--run", str(tmp_path),
+               "--processes", "2", "--renderers", "0", "--sources", "2", "--width", "64", "--height", "64", "--minutes", "5"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    with subprocess.Popen(command, cwd=ROOT, env=environment, stdout=subprocess.PIPE, text=True) as together:
+        log = tmp_path / "log.jsonl"
+        deadline = time.monotonic() + 240
+        while not (log.exists() and log.read_text()) and together.poll() is None and time.monotonic() < deadline:
+            time.sleep(0.5)
+        together.send_signal(signal.SIGINT)
+        said = together.communicate(timeout=120)[0]
+    assert together.returncode == 0, said
+    logged = json.loads(log.read_text().splitlines()[0])
+    assert logged["samples"] == 100  # fifty steps of two samples
+    state = start(tmp_path, torch.device("cpu"))
+    assert state.samples == 2 * state.steps >= 100 and f"{state.samples} samples seen" in said
+
+
+def pmd(vertices: np.ndarray, uv: np.ndarray, props: dict[str, tuple[float, float, float]]) -> bytes:
+    """A mesh of 0 A.D. (version 4): one triangle, a UV set, and places for props."""
+    body = struct.pack("<2I", len(vertices), 1)
+    for position, place in zip(vertices, uv, strict=True):
+        body += struct.pack("<8f4B4f", *position, 0, 1, 0, *place, 255, 255, 255, 255, 0, 0, 0, 0)
+    body += struct.pack("<I3H", 1, 0, 1, 2) + struct.pack("<2I", 0, len(props))
+    for name, place in props.items():
+        body += struct.pack("<I", len(name)) + name.encode() + struct.pack("<7fB", *place, 0, 0, 0, 1, 255)
+    return b"PSMD" + struct.pack("<2I", 4, len(body)) + body
+
+
+def test_an_asset_folder_is_built_from_the_games_archive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(build_assets.FEWEST_FACES, "building", 1)
+    picture = io.BytesIO()
+    colours = np.zeros((256, 256, 4), np.uint8)
+    colours[:128], colours[128:] = (200, 40, 40, 255), (40, 40, 200, 255)
+    colours[::2, ::2, :3] += 30
+    Image.fromarray(colours).save(picture, "DDS")
+    actor = """<?xml version="1.0"?><actor version="1"><group><variant frequency="1"><mesh>structural/{mesh}.dae</mesh>
+        <textures><texture file="wall.png" name="baseTex"/></textures>{props}</variant></group></actor>"""
+    corners, uv = np.array([[0, 0, 0], [4, 0, 0], [0, 3, 2.0]]), np.array([[0, 0], [1, 0], [0, 0.75]])
+    with zipfile.ZipFile(tmp_path / "public.zip", "w") as archive:
+        archive.writestr("art/meshes/structural/house.dae.cached.pmd", pmd(corners, uv, {"door": (10, 0, 1)}))
+        archive.writestr("art/meshes/structural/door.dae.cached.pmd", pmd(corners / 10, uv, {}))
+        archive.writestr("art/textures/skins/wall.png.cached.dds", picture.getvalue())
+        archive.writestr("art/textures/terrain/types/soil.png.cached.dds", picture.getvalue())
+        for side in ("front", "back", "left", "right", "top"):
+            archive.writestr(f"art/textures/skies/calm/{side}.dds.cached.dds", picture.getvalue())
+        prop = '<props><prop actor="props/door.xml" attachpoint="door"/></props>'
+        archive.writestr("art/actors/structures/land/house.xml", actor.format(mesh="house", props=prop))
+        archive.writestr("art/actors/props/door.xml", actor.format(mesh="door", props=""))
+    counts = build_assets.build(tmp_path / "public.zip", tmp_path / "assets", None)
+    assert counts == {"building": 1, "rock": 0, "tree": 0, "prop": 0, "texture": 1, "sky": 1}
+
+    assets = Assets(tmp_path / "assets")
+    [name] = assets.buildings(held_out=False) + assets.buildings(held_out=True)
+    house, door = assets.model(name)
+    np.testing.assert_allclose(house.positions, corners[:, [0, 2, 1]], atol=1e-6)  # Z up, not mirrored
+    np.testing.assert_allclose(door.positions, corners[:, [0, 2, 1]] / 10 + [10, 1, 0], atol=1e-6)
+    np.testing.assert_allclose(house.uv, uv * [1, -1] + [0, 1], atol=1e-6)
+    texture = assets.texture(house.material.texture)
+    assert texture[60].mean(0) @ [1, 0, -1] > 100 > -100 > texture[200].mean(0) @ [1, 0, -1]
+    assert assets.lighting(assets.names("sky")[0]).shape == (9, 3) and "Wildfire" in (
+        tmp_path / "assets" / "SOURCES.md").read_text()
