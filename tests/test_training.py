@@ -131,7 +131,8 @@ def test_two_processes_train_one_network_and_stop_together(scene: Scene, tmp_pat
     (tmp_path / "scenes").mkdir()
     generator.save(scene, tmp_path / "scenes" / "1.npz")
     command = [sys.executable, "-m", "training.train", "--assets", str(ASSETS), "--run", str(tmp_path),
-               "--processes", "2", "--renderers", "0", "--sources", "2", "--width", "64", "--height", "64", "--minutes", "5"]
+               "--processes", "2", "--renderers", "0", "--sources", "2", "--width", "64", "--height", "64",
+               "--minutes", "5"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     with subprocess.Popen(command, cwd=ROOT, env=environment, stdout=subprocess.PIPE, text=True) as together:
         log = tmp_path / "log.jsonl"
