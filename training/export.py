@@ -5,7 +5,8 @@
     python -m training.export --run DIR --scenes DIR [--out curecon_blender/weights/lcm_mvsnet.safetensors]
 
 The scenes (`python -m training.generator --held-out`) must be none that training saw: on them a logistic regression
-learns how the levels' shares tell whether a depth is within one interval. It prints the errors there, too.
+learns how the levels' shares tell whether a depth is within one interval; in the sky, none is. It prints the errors
+there, too.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ PIXELS = 4000  # a sample
 
 @torch.no_grad()
 def observe(network: LCMMVSNet, scenes: list[Path], samples: int, sources: int) -> tuple[Tensor, Tensor]:
-    """Logit shares (P,3) by level 0, 1, 2, and the error in intervals (P,), of random pixels of the scenes."""
+    """Logit shares (P,3) by level 0, 1, 2, and the error in intervals (P,), infinite where there is no surface within
+    the sweep, of random pixels of the scenes."""
     rng = np.random.default_rng(0)
     features: list[Tensor] = []
     errors: list[Tensor] = []
@@ -44,12 +46,13 @@ def observe(network: LCMMVSNet, scenes: list[Path], samples: int, sources: int) 
         with torch.autocast("cpu", torch.bfloat16):
             outputs = network(*(batch[k] for k in ("images", "K", "cam_from_world", "near", "far", "scores")))
         t = t_from_depth(batch["depth"].clamp_min(1e-3), batch["near"], batch["far"])
-        valid = torch.nonzero(((batch["depth"] > 0) & (t >= 0) & (t < 1)).flatten())[:, 0]
-        chosen = valid[torch.from_numpy(rng.integers(len(valid), size=PIXELS))]
+        surface = (batch["depth"] > 0) & (t >= 0) & (t < 1)
+        chosen = torch.from_numpy(rng.integers(surface.numel(), size=PIXELS))
         by_level = dict(zip(LEVELS, outputs, strict=True))
         shares = [F.interpolate(by_level[level].share, SIZE[::-1], mode="bilinear") for level in range(3)]
         features.append(torch.stack([torch.logit(s, eps=1e-4).flatten()[chosen] for s in shares], 1))
-        errors.append(((outputs[-1].t - t).abs() * INTERVALS).flatten()[chosen])
+        error = torch.where(surface, (outputs[-1].t - t).abs() * INTERVALS, torch.inf)
+        errors.append(error.flatten()[chosen])
     return torch.cat(features), torch.cat(errors)
 
 
@@ -86,6 +89,7 @@ def main() -> None:
     network = state.ema.eval()
     features, errors = observe(network, scenes, options.samples, options.sources)
     network.config = replace(network.config, calibration=fit(features, (errors < 1).float()))
+    errors = errors[errors.isfinite()]
     measured = {"epe": errors.mean().item(), "e1": (errors > 1).float().mean().item() * 100,
                 "e3": (errors > 3).float().mean().item() * 100}
     measured = {name: round(value, 3) for name, value in measured.items()}
