@@ -148,6 +148,17 @@ def test_gps_of_another_place_is_not_used() -> None:
     assert "does not agree" in placement.frame.note
 
 
+def test_a_walk_with_rough_gps_takes_its_tilt_from_the_level_cameras() -> None:
+    centres = np.stack([np.random.default_rng(1).normal(0, 0.3, 20), np.linspace(0, 60, 20), np.full(20, 1.7)], axis=1)
+    rotations = [looking_at(centre, centre + [0, 10.0, 0]) for centre in centres]
+    model = make_model(centres, rotations)
+    placement = georeference.place(model, make_photos(centres, noise=5.0))
+    assert (placement.frame.scale, placement.frame.up) == ("metres", "gravity")
+    assert "straight line" in placement.frame.note and "level cameras" in placement.frame.note
+    model.transform(placement.site_from_model)
+    assert tilt(model, rotations) < 8.0
+
+
 @pytest.mark.parametrize("kind", ["façade", "nadir grid"])
 def test_up_without_gps_where_all_cameras_look_one_way(kind: str) -> None:
     along = np.linspace(-10, 10, 5)

@@ -36,6 +36,7 @@ from .files import disk_errors
 from .messages import Reporter
 from .options import Options
 from .ply import Cloud, CloudWriter
+from .sky import sky_mask
 from .types import Component, View
 
 CACHE_BYTES = 512 << 20
@@ -85,7 +86,7 @@ def fuse(
         reporter.warning(f"Only {min_views} photos hang together here: points need no more than their agreement.")
     order = _finest_first(component.views, workspace, reporter)
     neighbours = _neighbours(component.views)
-    depth_maps = _Cache(workspace, cache_bytes)
+    depth_maps = _Cache(workspace, cache_bytes, z_up=component.frame.up != "given")
     with _scratch(workspace / ".fusion") as folder, CloudWriter(workspace / component.cloud) as writer:
         fused: dict[str, tuple[View, Path]] = {}  # views done, with the file of what they accepted
         for done, view in enumerate(order):
@@ -352,17 +353,20 @@ def _neighbours(views: tuple[View, ...]) -> dict[str, list[View]]:
 
 
 class _Cache:
-    """Depth maps with their pictures, read when asked for; those used last are kept, up to a number of bytes."""
+    """Depth maps with their pictures, read when asked for; those used last are kept, up to a number of bytes.
 
-    def __init__(self, workspace: Path, limit: int) -> None:
-        self._workspace, self._limit, self._bytes = workspace, limit, 0
+    In a world with Z up the sky is left out of them.
+    """
+
+    def __init__(self, workspace: Path, limit: int, z_up: bool) -> None:
+        self._workspace, self._limit, self._bytes, self._z_up = workspace, limit, 0, z_up
         self._entries: OrderedDict[str, _DepthMap] = OrderedDict()
 
     def __getitem__(self, view: View) -> _DepthMap:
         if view.name in self._entries:
             self._entries.move_to_end(view.name)
             return self._entries[view.name]
-        entry = _read_depth_map(view, self._workspace)
+        entry = _read_depth_map(view, self._workspace, self._z_up)
         self._bytes += entry.nbytes
         while self._entries and self._bytes > self._limit:
             self._bytes -= self._entries.popitem(last=False)[1].nbytes
@@ -370,7 +374,7 @@ class _Cache:
         return entry
 
 
-def _read_depth_map(view: View, workspace: Path) -> _DepthMap:
+def _read_depth_map(view: View, workspace: Path, z_up: bool) -> _DepthMap:
     depth, confidence = _read_arrays(view, workspace, "depth", "confidence")
     path = workspace / view.image
     remedy = "Delete that file and run Reconstruct again."
@@ -383,7 +387,11 @@ def _read_depth_map(view: View, workspace: Path) -> _DepthMap:
         raise WorkspaceError(f"{path} and its depth map differ in size.", remedy=remedy, path=path)
     inverse = np.full(depth.shape, np.nan, np.float32)
     np.divide(1, depth, out=inverse, where=depth > 0)
-    return _DepthMap(inverse, np.nan_to_num(confidence.astype(np.float32)), picture)
+    confidence = np.nan_to_num(confidence.astype(np.float32))
+    if z_up:
+        sky = sky_mask(picture, confidence, view.K, view.cam_from_world)
+        inverse[sky], confidence[sky] = np.nan, 0
+    return _DepthMap(inverse, confidence, picture)
 
 
 def _read_arrays(view: View, workspace: Path, *keys: str) -> list[np.ndarray]:

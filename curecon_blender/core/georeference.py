@@ -190,7 +190,7 @@ def up_from_cameras(cameras: _Cameras) -> Gravity:
 
     Photographers and drones hold a camera level, so that up is the direction most nearly orthogonal to all image
     x axes. Where those are all parallel (a row of photos of one façade, a nadir grid) they leave up open: it is then
-    against the viewing direction for a nadir grid, against the image y axes for a façade.
+    against the viewing direction for a nadir grid, against the image y axes for a façade or a walk along a street.
     """
     with_gimbal = [i for i, photo in enumerate(cameras.photos) if photo.gimbal is not None]
     if len(with_gimbal) >= 3:
@@ -210,8 +210,13 @@ def up_from_cameras(cameras: _Cameras) -> Gravity:
         up = -up if float(np.sum((down + forward) @ up)) > 0 else up
         off_level = float(np.degrees(np.sqrt(max(values[0], 0.0) / values[1])))
         return Gravity(up=up, sigma=max(3.0, off_level), source="level cameras")
-    along_x, along_y = (float(np.ptp(cameras.centres @ _unit(axis))) for axis in (vectors[:, 2], down[0]))
-    if np.linalg.norm(forward.mean(0)) > 0.9 and (np.linalg.norm(down.mean(0)) < 0.5 or along_y > 0.5 * along_x):
+    along_x, along_y, along_z = (
+        float(np.ptp(cameras.centres @ _unit(axis))) for axis in (vectors[:, 2], down[0], forward.mean(0))
+    )
+    ahead = along_z > max(along_x, along_y)  # a drone does not dive while it maps
+    if np.linalg.norm(forward.mean(0)) > 0.9 and not ahead and (
+        np.linalg.norm(down.mean(0)) < 0.5 or along_y > 0.5 * along_x
+    ):
         return Gravity(up=_unit(-forward.mean(0)), sigma=10.0, source="cameras taken to look straight down")
     return Gravity(up=_unit(-down.mean(0)), sigma=15.0, source="level cameras, all looking one way")
 
@@ -241,7 +246,8 @@ def align_to_gps(centres: np.ndarray, gps: np.ndarray, gravity: Gravity) -> GpsF
     """Robust similarity from camera centres (N,3) to GPS positions (N,3) in metres, N >= 3; half may be outliers.
 
     Least median of squares over triplets, then a refit to the inliers in which gravity counts as one more
-    direction, weighted by how well it is known: it fixes the tilt where the flight is a straight line.
+    direction, weighted by how well it is known. Of a flight along a straight line, or no wider than the GPS is off, only
+    the places along it count: across it they are noise, and gravity alone fixes the tilt.
     """
     best, best_median = None, np.inf
     for triplet in _triplets(len(centres)):
@@ -262,11 +268,22 @@ def align_to_gps(centres: np.ndarray, gps: np.ndarray, gravity: Gravity) -> GpsF
             break
         inliers = chosen
     residuals = _distances(best, centres, gps)
+    noise = float(np.median(residuals))
     spread = np.linalg.svd(gps[inliers] - gps[inliers].mean(0), compute_uv=False)
+    on_a_line = bool(spread[1] < LINE * spread[0] or spread[1] / np.sqrt(inliers.sum()) < max(1.0, 2 * noise))
+    if on_a_line:
+        best = _similarity(_along(centres[inliers]), _along(gps[inliers]), gravity, max(1.4826 * noise, 1.0))
+        residuals = _distances(best, centres, gps)
     return GpsFit(
-        enu_from_model=best, residuals=residuals, median_residual=float(np.median(residuals)),
-        on_a_line=bool(spread[1] < LINE * spread[0] or spread[1] / np.sqrt(inliers.sum()) < 1.0),
+        enu_from_model=best, residuals=residuals, median_residual=float(np.median(residuals)), on_a_line=on_a_line
     )
+
+
+def _along(positions: np.ndarray) -> np.ndarray:
+    """Positions (N,3) moved onto the line that fits them best."""
+    mean = positions.mean(0)
+    axis = np.linalg.svd(positions - mean, full_matrices=False)[2][0]
+    return np.asarray(mean + np.outer((positions - mean) @ axis, axis))
 
 
 def _triplets(count: int, most: int = 400) -> list[np.ndarray]:
