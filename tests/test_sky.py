@@ -26,9 +26,9 @@ def make_photo() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     clouds = 20 * np.sin(columns / 60.0) * np.sin(rows / 45.0)
     picture = np.stack([150 + clouds, 185 + clouds, 230 + 0.5 * clouds], axis=2) + rng.normal(0, 1.5, (*rows.shape, 3))
     house = (np.abs(columns - 200) < 110) & (rows > 70 + 0.4 * np.abs(columns - 200))
-    ground = rows > 190
+    ground = rows > 160
     picture[house | ground] = rng.uniform(30, 200, ((house | ground).sum(), 1)) * [1.0, 0.9, 0.7]
-    wall = house & (np.abs(columns - 200) < 40) & (rows > 110) & (rows < 180)
+    wall = house & (np.abs(columns - 200) < 40) & (rows > 100) & (rows < 155)
     picture[wall] = [225, 222, 215]
     sky = ~(house | ground)
     near_house = np.zeros_like(sky)

@@ -246,8 +246,8 @@ def align_to_gps(centres: np.ndarray, gps: np.ndarray, gravity: Gravity) -> GpsF
     """Robust similarity from camera centres (N,3) to GPS positions (N,3) in metres, N >= 3; half may be outliers.
 
     Least median of squares over triplets, then a refit to the inliers in which gravity counts as one more
-    direction, weighted by how well it is known. Of a flight along a straight line, or no wider than the GPS is off, only
-    the places along it count: across it they are noise, and gravity alone fixes the tilt.
+    direction, weighted by how well it is known. Of a flight along a straight line, or no wider than the GPS is off,
+    only the places along it count: across it they are noise, and gravity alone fixes the tilt.
     """
     best, best_median = None, np.inf
     for triplet in _triplets(len(centres)):
