@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The sidebar tab CU-Recon of the 3D viewport: Photos, Reconstruct, Result."""
+"""The sidebar tab CU-Recon of the 3D viewport: Photos, Reconstruct, Result, Surface."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from .job import Status, duration
 from .operators import running
 from .operators.running import STAGE_NAMES
 from .scene import cameras
+from .scene.surface import surfaces_of
 from .scene.workspace import clouds_of
 
 SHOWN_SKIPPED = 6
@@ -109,32 +110,37 @@ class CURECON_PT_reconstruct(_Panel, bpy.types.Panel):
         column = layout.column()
         column.enabled = not status.running
         column.row().prop(properties, "quality", text="")
+        column.row().prop(properties, "goal", text="")
         cost = properties.check.costs.get(properties.quality)
         if cost is not None and properties.check.folder == properties.photos and not status.running:
             paragraph(
                 layout, context, f"About {duration(cost.seconds)}, {gibibytes(cost.memory_gib)} of memory and "
                 f"{gibibytes(cost.disk_gib)} of disk",
             )
-        if status.running:
+        if status.running and running.step == "reconstruct":
             draw_progress(layout, status)
         else:
             row = layout.row()
             row.scale_y = 1.6
             row.enabled = bool(properties.photos)
             row.operator("curecon.reconstruct", icon="PLAY")
-        if status.warning_count:
-            box = layout.box()
-            for text in status.warnings:
-                paragraph(box, context, text, icon="ERROR")
-            if status.warning_count > len(status.warnings):
-                box.label(text=f"and {status.warning_count - len(status.warnings)} earlier warnings")
-        if status.failure is not None:
-            box = layout.box()
-            cancelled = status.failure.kind == "cancelled"
-            paragraph(
-                box, context, status.failure.message, icon="INFO" if cancelled else "CANCEL", alert=not cancelled
-            )
-            paragraph(box, context, status.failure.remedy)
+        if running.step == "reconstruct":
+            draw_outcome(layout, context, status)
+
+
+def draw_outcome(layout: bpy.types.UILayout, context: bpy.types.Context, status: Status) -> None:
+    """The last job's warnings, and how it failed if it did."""
+    if status.warning_count:
+        box = layout.box()
+        for text in status.warnings:
+            paragraph(box, context, text, icon="ERROR")
+        if status.warning_count > len(status.warnings):
+            box.label(text=f"and {status.warning_count - len(status.warnings)} earlier warnings")
+    if status.failure is not None:
+        box = layout.box()
+        cancelled = status.failure.kind == "cancelled"
+        paragraph(box, context, status.failure.message, icon="INFO" if cancelled else "CANCEL", alert=not cancelled)
+        paragraph(box, context, status.failure.remedy)
 
 
 def draw_progress(layout: bpy.types.UILayout, status: Status) -> None:
@@ -197,16 +203,109 @@ class CURECON_PT_result(_Panel, bpy.types.Panel):
             column.label(text="Scale unknown: do not measure", icon="ERROR")
         if result.note:
             paragraph(box, context, result.note)
-        if clouds:
+        if clouds and properties.show_cloud:
             column = layout.column(align=True)
             column.prop(properties, "display_fraction", slider=True)
             column.prop(properties, "point_size", slider=True)
+        if clouds or surfaces_of(context.scene):
             layout.operator("curecon.frame_cloud", icon="VIEWZOOM")
         row = layout.row(align=True)
+        if clouds:
+            row.prop(properties, "show_cloud", toggle=True, icon="POINTCLOUD_DATA")
         row.prop(properties, "show_cameras", toggle=True, icon="CAMERA_DATA")
+        row = layout.row()
         sub = row.row(align=True)
         sub.enabled = cameras.is_photo_camera(context.active_object)
         sub.operator("curecon.look_through", text="Look Through")
 
 
-CLASSES = (CURECON_PT_photos, CURECON_PT_reconstruct, CURECON_PT_advanced, CURECON_PT_result)
+class CURECON_PT_surface(_Panel, bpy.types.Panel):
+    bl_idname = "CURECON_PT_surface"
+    bl_label = "Surface"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return bool(context.scene.curecon.result.workspace)  # the step after the cloud
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, properties, status = self.layout, context.scene.curecon, running.status
+        result, found = properties.result, surfaces_of(context.scene)
+        if found:
+            self._draw_state(result)
+        else:
+            paragraph(layout, context, "None yet. A mesh closes the cloud to a surface; the texture paints it with "
+                      "the photos.")
+        if status.running and running.step == "surface":
+            draw_progress(layout, status)
+        else:
+            self._draw_actions(result, bool(found))
+        if running.step == "surface":
+            draw_outcome(layout, context, status)
+        if found:
+            row = layout.row(align=True)
+            row.prop(properties, "show_surface", toggle=True, icon="MESH_DATA")
+            row.prop(properties, "show_filled", toggle=True, icon="OVERLAY")
+            row = layout.row(align=True)
+            row.label(text="Light")
+            row.prop(properties, "surface_light", expand=True)
+            layout.operator("curecon.export_surface", icon="EXPORT")
+
+    def _draw_state(self, result: bpy.types.PropertyGroup) -> None:
+        column = self.layout.box().column(align=True)
+        column.label(text=counted(result.faces, "face"), icon="MESH_DATA")
+        column.label(text="Painted with the photos" if result.textured else "Colours at the vertices only",
+                     icon="TEXTURE" if result.textured else "COLOR")
+        column.label(text=f"{result.filled:.1f} % filled: no photo measured it" if result.filled >= 0.05 else
+                     "All of it measured", icon="OVERLAY")
+
+    def _draw_actions(self, result: bpy.types.PropertyGroup, found: bool) -> None:
+        """The next action first and large."""
+        mesh = ("curecon.build_mesh", "Build Mesh Again" if found else "Build Mesh", "MESH_ICOSPHERE")
+        words = "Texture Again" if result.textured else "Texture" if found else "Build and Texture"
+        texture = ("curecon.texture", words, "TEXTURE")
+        column = self.layout.column(align=True)
+        for index, (operator, text, icon) in enumerate(
+            (texture, mesh) if found and not result.textured else (mesh, texture)
+        ):
+            row = column.row(align=True)
+            row.scale_y = 1.6 if index == 0 and not result.textured else 1.0
+            row.operator(operator, text=text, icon=icon)
+
+
+class CURECON_PT_surface_advanced(_Panel, bpy.types.Panel):
+    bl_idname = "CURECON_PT_surface_advanced"
+    bl_label = "Advanced"
+    bl_parent_id = "CURECON_PT_surface"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, properties = self.layout, context.scene.curecon
+        layout.enabled = not running.status.running
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        layout.prop(properties, "fill_holes")
+        layout.prop(properties, "max_faces")
+        row = layout.row(heading="Region")
+        row.prop(properties, "use_region", text="")
+        sub = row.row()
+        sub.enabled = properties.use_region
+        sub.prop(properties, "region", text="")
+        row.operator("curecon.add_region", text="", icon="ADD")
+        layout.separator()
+        layout.prop(properties, "texture_size", text="Texture Page")
+        layout.prop(properties, "texture_format", expand=True)
+        layout.prop(properties, "pack_textures")
+        layout.separator()
+        layout.prop(properties, "licence")
+        layout.prop(properties, "credit")
+        if context.scene.view_settings.view_transform != "Standard":
+            layout.separator()
+            # What Blender starts with tones bright and saturated colours down, the photos' among them.
+            layout.prop(context.scene.view_settings, "view_transform")
+            paragraph(layout, context, "Standard shows the photos' colours as they are.", icon="INFO")
+
+
+CLASSES = (
+    CURECON_PT_photos, CURECON_PT_reconstruct, CURECON_PT_advanced, CURECON_PT_result, CURECON_PT_surface,
+    CURECON_PT_surface_advanced,
+)

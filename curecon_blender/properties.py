@@ -19,7 +19,8 @@ from bpy.props import (
 )
 
 from .core.options import PRESETS
-from .scene import cameras, viewport
+from .scene import cameras, surface, viewport
+from .scene.workspace import clouds_of, hide
 
 
 def _quality_item(name: str, use: str) -> tuple[str, str, str]:
@@ -34,6 +35,25 @@ QUALITIES = (
     _quality_item("high", "Fine detail; several times slower than Standard."),
     _quality_item("ultra", "Everything that the photos hold; for a night's run."),
 )
+# What Reconstruct ends with, by the worker's last stage.
+GOALS = (
+    ("fusion", "Point Cloud", "Every measured point with its colour, and nothing else"),
+    ("mesh", "Mesh", "A surface with the photos' colours at its vertices"),
+    ("texture", "Textured Mesh", "A surface painted with the photos; takes longest"),
+)
+TEXTURE_SIZES = tuple(
+    (str(size), f"{size} px", f"Pages of {size} x {size} pixels, {size * size * 4 / 2**20:.0f} MiB of memory each")
+    for size in (1024, 2048, 4096, 8192)
+)
+TEXTURE_FORMATS = (
+    ("png", "PNG", "Exact colours, large files"),
+    ("jpeg", "JPEG", "A tenth of the size, with slight losses"),
+)
+LIGHTS = (
+    ("PHOTO", "Photos", "The photos' colours as they are, with the light of the day they were taken"),
+    ("SCENE", "Scene", "A matte surface in the light of the scene's lamps and sky, on top of the photos' own shadows"),
+)
+LICENCES = ("All rights reserved", "CC BY 4.0", "CC BY-NC 4.0", "CC BY-SA 4.0", "CC0 1.0")
 
 
 class CURECON_PG_skipped(bpy.types.PropertyGroup):
@@ -72,6 +92,9 @@ class CURECON_PG_result(bpy.types.PropertyGroup):
     cameras: IntProperty()
     photos: IntProperty(description="Photos that were given; 0 when unknown")
     parts: IntProperty()
+    faces: IntProperty(description="Faces of the surface; 0 when there is none")
+    textured: BoolProperty(description="The surface is painted with the photos")
+    filled: FloatProperty(description="Per cent of the surface's area that no photo measured, 0 to 100")
     scale: StringProperty()
     note: StringProperty()
 
@@ -82,6 +105,30 @@ def _redraw(properties: CURECON_PG_scene, context: bpy.types.Context) -> None:
 
 def _show_cameras(properties: CURECON_PG_scene, context: bpy.types.Context) -> None:
     cameras.show(context.scene, properties.show_cameras)
+
+
+def _show_cloud(properties: CURECON_PG_scene, context: bpy.types.Context) -> None:
+    hide(clouds_of(properties.id_data), not properties.show_cloud)
+
+
+def _show_surface(properties: CURECON_PG_scene, context: bpy.types.Context) -> None:
+    hide(surface.surfaces_of(properties.id_data), not properties.show_surface)
+
+
+def _show_filled(properties: CURECON_PG_scene, context: bpy.types.Context) -> None:
+    surface.show_filled(properties.id_data, properties.show_filled)
+
+
+def _surface_light(properties: CURECON_PG_scene, context: bpy.types.Context) -> None:
+    surface.light(properties.id_data, properties.surface_light == "SCENE")
+
+
+def _licences(properties: CURECON_PG_scene, context: bpy.types.Context, typed: str) -> list[str]:
+    return [name for name in LICENCES if typed.lower() in name.lower()]
+
+
+def _can_be_region(properties: CURECON_PG_scene, candidate: bpy.types.Object) -> bool:
+    return candidate.type == "MESH" and not surface.is_surface(candidate)
 
 
 class CURECON_PG_scene(bpy.types.PropertyGroup):
@@ -120,6 +167,60 @@ class CURECON_PG_scene(bpy.types.PropertyGroup):
     )
     show_cameras: BoolProperty(
         name="Cameras", description="Show the photos' cameras in the viewport", default=True, update=_show_cameras,
+    )
+    show_cloud: BoolProperty(
+        name="Cloud", description="Show the point cloud in viewports and renders", default=True, update=_show_cloud,
+    )
+    show_surface: BoolProperty(
+        name="Surface", description="Show the surface in viewports and renders", default=True, update=_show_surface,
+    )
+    show_filled: BoolProperty(
+        name="Show Filled",
+        description="Tint the faces that no photo measured, in every kind of view and in renders",
+        default=False, update=_show_filled,
+    )
+    surface_light: EnumProperty(
+        name="Light", description="Whose light falls on the surface in Material Preview and renders", items=LIGHTS,
+        default="PHOTO", update=_surface_light,
+    )
+    goal: EnumProperty(
+        name="Result", description="How far Reconstruct goes", items=GOALS, default="fusion",
+    )
+    fill_holes: BoolProperty(
+        name="Fill Holes",
+        description="Close the surface where nothing was measured; such faces are marked as filled. Off: holes stay",
+        default=True,
+    )
+    max_faces: IntProperty(
+        name="Max Faces", description="Triangles that the mesh may have, from 1,000 to 50,000,000",
+        default=1_000_000, min=1_000, soft_max=5_000_000, max=50_000_000, step=100_000,
+    )
+    use_region: BoolProperty(
+        name="Region", description="Make the mesh only of what lies inside of the region box", default=False,
+    )
+    region: PointerProperty(
+        type=bpy.types.Object, name="Region Box", poll=_can_be_region,
+        description="An object whose bounds along the site's axes, in scene units, enclose what the mesh is made of",
+    )
+    texture_size: EnumProperty(
+        name="Page Size", description="Side of a page of the texture, from 1024 to 8192 pixels", items=TEXTURE_SIZES,
+        default="4096",
+    )
+    texture_format: EnumProperty(
+        name="Format", description="How the pages are kept in the workspace", items=TEXTURE_FORMATS, default="png",
+    )
+    pack_textures: BoolProperty(
+        name="Pack into .blend",
+        description="Keep the texture inside the .blend file, so that it can go without its workspace; the file grows "
+                    "by the texture's size. Takes effect at the next import",
+        default=False,
+    )
+    licence: StringProperty(
+        name="Licence", description="Written into exported files, such as CC BY 4.0", search=_licences,
+        search_options={"SUGGESTION"},
+    )
+    credit: StringProperty(
+        name="Credit", description="Who is to be named with the model; written into exported files",
     )
     check: PointerProperty(type=CURECON_PG_check)
     result: PointerProperty(type=CURECON_PG_result)

@@ -65,6 +65,13 @@ class SetupError(CuReconError):
     kind = "setup"
 
 
+class SurfaceError(CuReconError):
+    """No mesh can be made of a cloud, or no texture of a mesh."""
+
+    exit_code = 10
+    kind = "surface"
+
+
 class Cancelled(CuReconError):
     """The user cancelled; finished work is kept and the job can go on later."""
 

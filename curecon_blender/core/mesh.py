@@ -56,6 +56,16 @@ class Mesh:
         return replace(self, uv=uv, page=page, pages=pages)
 
 
+def mesh_file(index: int) -> str:
+    """A component's mesh, relative to its workspace."""
+    return f"mesh_{index}.ply" if index else "mesh.ply"
+
+
+def textured_folder(index: int) -> str:
+    """The folder, relative to the workspace, of a component's textured mesh: mesh.ply and its pages."""
+    return f"textured_{index}" if index else "textured"
+
+
 def write_mesh(path: Path, mesh: Mesh) -> None:
     """Write a mesh as PLY; the file appears under its name only when it is whole. Raises WorkspaceError."""
     vertices = np.zeros(len(mesh.vertices), _VERTEX)

@@ -86,7 +86,8 @@ def failure(error: CuReconError) -> Failure:
 
 
 # Share of a typical job's time by stage, for the overall progress (measured on the sample site, standard quality).
-STAGE_WEIGHTS = {"photos": 0.02, "sparse": 0.2, "views": 0.03, "depth": 0.65, "fusion": 0.1}
+STAGE_WEIGHTS = {"photos": 0.02, "sparse": 0.2, "views": 0.03, "depth": 0.65, "fusion": 0.1, "mesh": 0.15,
+                 "texture": 0.25}
 
 
 class Reporter:

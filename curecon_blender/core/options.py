@@ -7,7 +7,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-STAGES = ("photos", "sparse", "views", "depth", "fusion")
+CLOUD_STAGES = ("photos", "sparse", "views", "depth", "fusion")
+SURFACE_STAGES = ("mesh", "texture")  # they need a finished cloud and nothing else
+STAGES = (*CLOUD_STAGES, *SURFACE_STAGES)
 QUALITIES = ("preview", "standard", "high", "ultra")
 
 
@@ -32,8 +34,8 @@ PRESETS = {
 class Options:
     """Everything a job depends on. Frozen: a stage's done-marker is keyed by the fields it used."""
 
-    photos: Path
     workspace: Path
+    photos: Path | None  # None: only the surface of a workspace whose cloud is finished
     quality: str = "standard"
     model: Path | None = None  # a COLMAP model used in place of the sparse stage
     max_image_size: int | None = None  # pixels; overrides the preset's depth-map size
@@ -48,6 +50,11 @@ class Options:
     min_views: int = 3  # N_c: confirming views
     max_reprojection_error: float = 1.0  # pixels
     max_depth_difference: float = 0.01  # relative
+    fill_holes: bool = True  # close holes in the mesh, marked as filled; False leaves them open
+    max_faces: int = 1_000_000  # of the mesh
+    region: tuple[float, ...] | None = None  # the mesh's bounds in the site frame: x0, y0, z0, x1, y1, z1
+    texture_size: int = 4096  # pixels, side of a page
+    texture_format: str = "png"  # png, jpeg
 
     @property
     def preset(self) -> Preset:

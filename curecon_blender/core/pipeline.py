@@ -1,11 +1,14 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The flow: photos, sparse model, views, depth maps, fused cloud. Each stage is skipped when it is already done."""
+"""The flow: photos, sparse model, views, depth maps, fused cloud, mesh, texture. A stage that is already done is
+skipped."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import shutil
+import tempfile
 import threading
 import time
 from collections.abc import Callable
@@ -13,13 +16,15 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import psutil
 
 from . import components as components_file
-from .errors import SparseError, WorkspaceError
+from .errors import SparseError, SurfaceError, WorkspaceError
 from .files import write_json
+from .mesh import Mesh, mesh_file, read_mesh, textured_folder, write_mesh
 from .messages import Reporter
-from .options import PRESETS, STAGES, Options
+from .options import PRESETS, STAGES, SURFACE_STAGES, Options
 from .types import Component, GeoPosition, Gimbal, Photo, PhotoSet, SkippedPhoto
 from .workspace import StageRecord, Workspace, folder_bytes, key_of
 
@@ -28,17 +33,27 @@ BYTES_PER_DEPTH_PIXEL = 11.0  # a depth map's file, its undistorted picture and 
 
 
 def reconstruct(options: Options, reporter: Reporter) -> dict[str, Any]:
-    """Run the job to `options.until` and return its JSON summary.
+    """Run the job to `options.until` and return its JSON summary; without photos, from the finished cloud on.
 
     The stages read and write the workspace only, so a second run finds them done and a killed one goes on. Raises
     the CuReconError of whichever stage cannot go on; what was finished before it stays.
     """
     stages = STAGES[: STAGES.index(options.until) + 1]
+    if options.photos is None:
+        stages = tuple(stage for stage in stages if stage in SURFACE_STAGES)
+        if not (options.workspace / "workspace.json").is_file():
+            raise WorkspaceError(
+                f"{options.workspace} is not a workspace of CU-Recon.", path=options.workspace,
+                remedy="Choose the folder that Reconstruct made, or run Reconstruct first.",
+            )
     reporter.begin(stages)
     with Workspace(options.workspace) as workspace:
         job = _Job(options, workspace, reporter)
+        if options.photos is None:
+            job.take_up()
         runs: dict[str, Callable[[], None]] = {
             "photos": job.photos, "sparse": job.sparse, "views": job.views, "depth": job.depth, "fusion": job.fusion,
+            "mesh": job.mesh, "texture": job.texture,
         }
         for stage in stages:
             reporter.stage(stage)
@@ -66,9 +81,20 @@ class _Job:
         self.components: list[Component] = []
         self.key = ""  # of the stage just done; every stage's key takes in the one before
 
+    def take_up(self) -> None:
+        """Begin after fusion, from what the workspace holds. Raises WorkspaceError when its cloud is not finished."""
+        root, record = self.workspace.root, self.workspace.record("fusion")
+        if record is None:
+            raise WorkspaceError(
+                f"The cloud of {root} is not finished.", remedy="Run Reconstruct to the end first.", path=root,
+            )
+        self.photo_set = _photo_set_from_json(root / "photos.json")
+        self.components, self.key = components_file.read(root), record.key
+
     def photos(self) -> None:
         from .photos import check_photos, find_photos
 
+        assert self.options.photos is not None
         source = self.options.photos.absolute()
         files = [(str(p), p.stat().st_size, p.stat().st_mtime_ns) for p in find_photos(source)]
         file = self.workspace.root / "photos.json"
@@ -143,23 +169,83 @@ class _Job:
                     remedy="Take photos that overlap more, or lower the minimum confidence or the confirming views.",
                 )
 
+            self._drop_surfaces(textures_only=False)  # they are of the cloud before
+
         self._stage("fusion", inputs, run)
+
+    def mesh(self) -> None:
+        from .meshing import MeshOptions, build_mesh
+        from .ply import read_cloud
+
+        options, root = self.options, self.workspace.root
+        region = (options.region[:3], options.region[3:]) if options.region else None
+        settings = MeshOptions(fill_holes=options.fill_holes, max_faces=options.max_faces, region=region)
+
+        def build(component: Component) -> None:
+            with tempfile.TemporaryDirectory(prefix=".mesh", dir=root) as scratch:
+                mesh = build_mesh(read_cloud(root / component.cloud), settings, Path(scratch), self.reporter)
+            write_mesh(root / mesh_file(component.index), mesh)
+
+        def run() -> None:
+            self._each_surface([c for c in self.components if (root / c.cloud).exists()], build)
+            self._drop_surfaces(textures_only=True)  # they are of the mesh before
+
+        self._stage("mesh", asdict(settings), run)
+
+    def texture(self) -> None:
+        from .texturing import TextureOptions, texture_mesh
+
+        options, root = self.options, self.workspace.root
+        settings = TextureOptions(page_size=options.texture_size, jpeg=options.texture_format == "jpeg")
+
+        def paint(component: Component) -> None:
+            folder = root / textured_folder(component.index)
+            mesh = read_mesh(root / mesh_file(component.index))
+            write_mesh(folder / "mesh.ply", texture_mesh(mesh, component, root, settings, folder, self.reporter))
+
+        def run() -> None:
+            self._each_surface([c for c in self.components if (root / mesh_file(c.index)).exists()], paint)
+
+        self._stage("texture", {"size": options.texture_size, "format": options.texture_format}, run)
+
+    def _each_surface(self, components: list[Component], run: Callable[[Component], None]) -> None:
+        """Run for every component; one that cannot have a surface does not cost the others theirs."""
+        failures = []
+        for component in components:
+            try:
+                run(component)
+            except SurfaceError as error:
+                failures.append(error)
+                self.reporter.warning(f"Part {component.index + 1}: {error.message}")
+        if failures and len(failures) == len(components):
+            raise failures[0]
+
+    def _drop_surfaces(self, *, textures_only: bool) -> None:
+        """Remove what was made from an earlier cloud or mesh, once the new one is there."""
+        root = self.workspace.root
+        for component in self.components:
+            shutil.rmtree(root / textured_folder(component.index), ignore_errors=True)
+            if not textures_only:
+                (root / mesh_file(component.index)).unlink(missing_ok=True)
 
     def summary(self, stages: tuple[str, ...]) -> dict[str, Any]:
         """The job's JSON summary: counts, what each stage took when it last ran, and where everything lies."""
         root = self.workspace.root
-        clouds = [root / c.cloud for c in self.components if (root / c.cloud).exists()] if "fusion" in stages else []
+        cloudy = {"fusion", *SURFACE_STAGES} & set(stages)
+        clouds = [root / c.cloud for c in self.components if (root / c.cloud).exists()] if cloudy else []
         records = {stage: self.workspace.record(stage) for stage in stages}
         return {
             "photos": len(self.photo_set.photos),
             "skipped": [{"path": str(s.path), "reason": s.reason} for s in self.photo_set.skipped],
-            "registered": sum(_registered(root / "sparse")) if "sparse" in stages else 0,
+            "registered": sum(_registered(root / "sparse")) if (root / "sparse").is_dir() else 0,
             "components": [
                 {"index": c.index, "photos": len(c.views), "scale": c.frame.scale, "up": c.frame.up,
                  "gps_residual": c.frame.gps_residual, "note": c.frame.note, "points": _point_count(root / c.cloud)}
                 for c in self.components
             ],
             "points": sum(_point_count(path) for path in clouds),
+            "meshes": [_described(root, c.index) for c in self.components if (root / mesh_file(c.index)).exists()]
+            if set(SURFACE_STAGES) & set(stages) else [],
             "seconds": {s: round(r.seconds, 1) for s, r in records.items() if r},
             "peak_memory_gib": {s: round(r.peak_gib, 2) for s, r in records.items() if r},
             "workspace_gib": round(folder_bytes(root) / 2**30, 3),
@@ -225,6 +311,20 @@ def _digest(model: Path) -> str:
         digest.update(file.name.encode())
         digest.update(file.read_bytes())
     return digest.hexdigest()
+
+
+def _described(root: Path, index: int) -> dict[str, Any]:
+    """A component's surface in the summary; its filled share is of the area."""
+    textured = root / textured_folder(index) / "mesh.ply"
+    mesh = read_mesh(textured if textured.exists() else root / mesh_file(index))
+    return {"index": index, "faces": len(mesh.faces), "vertices": len(mesh.vertices),
+            "filled_share": round(_filled_share(mesh), 4), "textured": textured.exists()}
+
+
+def _filled_share(mesh: Mesh) -> float:
+    corners = mesh.vertices[mesh.faces]
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    return float(areas[mesh.filled].sum() / max(areas.sum(), 1e-12))
 
 
 def _registered(sparse: Path) -> list[int]:

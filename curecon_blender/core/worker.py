@@ -25,7 +25,7 @@ from . import messages
 from .allocator import use_large_pages
 from .errors import CuReconError, SetupError
 from .messages import Message, Reporter
-from .options import QUALITIES, STAGES, Options
+from .options import QUALITIES, STAGES, SURFACE_STAGES, Options
 
 EXIT_CODES = """exit codes:
   0  done                     5  workspace: read-only, full, in use, newer
@@ -33,9 +33,9 @@ EXIT_CODES = """exit codes:
   2  wrong arguments          7  device not there, or memory budget too small
   3  photos unusable          8  no point that enough views agree on
   4  cameras not found        9  a library is missing from this Python
-                            130  cancelled
+ 10  no mesh or no texture can be made               130  cancelled
 """
-LIBRARIES = ("numpy", "PIL", "psutil", "cv2", "safetensors", "torch", "pycolmap")
+LIBRARIES = ("numpy", "PIL", "psutil", "cv2", "safetensors", "scipy", "torch", "pycolmap", "xatlas")
 REQUIREMENTS = Path(__file__).resolve().parent.parent / "requirements.txt"
 PLAIN_LINE_EVERY = 10.0  # seconds between progress lines in a pipe
 ORPHAN_GRACE = 20.0  # seconds a worker may take to stop by itself once its parent is gone
@@ -127,9 +127,23 @@ def _parser() -> argparse.ArgumentParser:
                      metavar="PIXELS")
     run.add_argument("--max-depth-difference", type=_positive(float), default=default["max_depth_difference"],
                      metavar="RELATIVE")
+    surface = commands.add_parser("surface", help="mesh and texture of a workspace whose cloud is finished",
+                                  epilog=EXIT_CODES, formatter_class=argparse.RawDescriptionHelpFormatter)
+    surface.set_defaults(photos=None)
+    surface.add_argument("workspace", type=Path)
+    surface.add_argument("--until", choices=SURFACE_STAGES, default=SURFACE_STAGES[-1], help="stop after this stage")
+    for command in (run, surface):
+        command.add_argument("--fill-holes", action=argparse.BooleanOptionalAction, default=default["fill_holes"],
+                             help="close holes in the mesh; what no photo measured is marked as filled")
+        command.add_argument("--max-faces", type=int, default=default["max_faces"])
+        command.add_argument("--region", type=float, nargs=6, metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"),
+                             help="build the mesh of this part of the site only, in its frame")
+        command.add_argument("--texture-size", type=int, default=default["texture_size"], metavar="PIXELS",
+                             help="side of a page of the texture")
+        command.add_argument("--texture-format", choices=("png", "jpeg"), default=default["texture_format"])
     check = commands.add_parser("check", help="look at the photos and say what each quality would cost")
     check.add_argument("photos", type=Path)
-    for command in (run, check):
+    for command in (run, surface, check):
         command.add_argument("--json", action="store_true", help="print a JSON summary as the last line")
     return parser
 

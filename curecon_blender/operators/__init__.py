@@ -6,9 +6,12 @@ from __future__ import annotations
 
 import bpy
 
-from . import check_photos, choose_photos, import_workspace, reconstruct
+from . import build_surface, check_photos, choose_photos, export_surface, import_workspace, reconstruct
 
-CLASSES = (*choose_photos.CLASSES, *check_photos.CLASSES, *reconstruct.CLASSES, *import_workspace.CLASSES)
+CLASSES = (
+    *choose_photos.CLASSES, *check_photos.CLASSES, *reconstruct.CLASSES, *import_workspace.CLASSES,
+    *build_surface.CLASSES, *export_surface.CLASSES,
+)
 
 
 def _file_import(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
@@ -17,9 +20,15 @@ def _file_import(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
     menu.layout.operator("curecon.import_model", text="COLMAP Model (CU-Recon)")
 
 
+def _file_export(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
+    menu.layout.operator("curecon.export_surface", text="Surface (CU-Recon)")
+
+
 def add_menus() -> None:
     bpy.types.TOPBAR_MT_file_import.append(_file_import)
+    bpy.types.TOPBAR_MT_file_export.append(_file_export)
 
 
 def remove_menus() -> None:
     bpy.types.TOPBAR_MT_file_import.remove(_file_import)
+    bpy.types.TOPBAR_MT_file_export.remove(_file_export)

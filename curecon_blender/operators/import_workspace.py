@@ -13,36 +13,46 @@ import bpy
 from bpy.props import StringProperty
 
 from ..core.errors import CuReconError
-from ..scene import cameras, viewport
+from ..scene import cameras, surface, viewport
+from ..scene.surface import surfaces_of
 from ..scene.workspace import clouds_of, import_workspace
 from . import places, running
 
 EASY_POINTS = 10_000_000  # what a viewport shows without trouble
 
 
-def bring_in(context: bpy.types.Context, scene: bpy.types.Scene, folder: Path, *, photos: int = 0) -> str:
-    """Import the workspace, fill the Result panel and turn the viewports to the cloud; returns a report.
+def bring_in(
+    context: bpy.types.Context, scene: bpy.types.Scene, folder: Path, *, photos: int = 0, frame: bool = True
+) -> str:
+    """Import the workspace, fill the Result panel and, with `frame`, turn the viewports to what came; returns a report.
 
     `photos` is how many were given to the job, 0 when unknown. Raises WorkspaceError.
     """
-    imported = import_workspace(scene, folder)
-    properties, frame = scene.curecon, imported.frame
+    properties = scene.curecon
+    imported = import_workspace(scene, folder, pack=properties.pack_textures)
     result = properties.result
     result.workspace, result.points, result.photos = str(folder), imported.points, photos
     result.cameras, result.parts = len(imported.cameras), imported.parts
-    result.scale, result.note = frame.scale, frame.note
+    result.faces, result.textured, result.filled = imported.faces, imported.textured, 100 * imported.filled
+    result.scale, result.note = imported.frame.scale, imported.frame.note
     properties.display_fraction = min(100.0, 100.0 * EASY_POINTS / max(imported.points, 1))
     cameras.show(scene, properties.show_cameras)
-    if imported.clouds:
-        viewport.frame(context, imported.clouds[0])
-    report = f"{imported.points:,} points and {len(imported.cameras)} cameras are in the scene."
+    properties.show_cloud, properties.show_surface = not imported.surfaces, True
+    surface.show_filled(scene, properties.show_filled)
+    surface.light(scene, properties.surface_light == "SCENE")
+    if imported.surfaces:
+        viewport.show_texture(context, textured=imported.textured)
+    if frame and (found := [*imported.surfaces, *imported.clouds]):
+        viewport.frame(context, found[0])
+    faces = f", {imported.faces:,} faces" if imported.surfaces else ""
+    report = f"{imported.points:,} points{faces} and {len(imported.cameras)} cameras are in the scene."
     if imported.missing_pictures:
         report += f" {imported.missing_pictures} pictures are missing in {folder}."
     return report
 
 
 class CURECON_OT_import_workspace(bpy.types.Operator):
-    """Bring the cameras and the point cloud of an existing workspace folder into the scene"""
+    """Bring the cameras, the point cloud and the surface of an existing workspace folder into the scene"""
 
     bl_idname = "curecon.import_workspace"
     bl_label = "Import Workspace"
@@ -70,17 +80,17 @@ class CURECON_OT_import_workspace(bpy.types.Operator):
 
 
 class CURECON_OT_frame_cloud(bpy.types.Operator):
-    """Turn the 3D viewports to the whole cloud"""
+    """Turn the 3D viewports to the whole surface or cloud"""
 
     bl_idname = "curecon.frame_cloud"
-    bl_label = "Frame Cloud"
+    bl_label = "Frame All"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return bool(clouds_of(context.scene))
+        return bool(surfaces_of(context.scene) or clouds_of(context.scene))
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        viewport.frame(context, clouds_of(context.scene)[0])
+        viewport.frame(context, [*surfaces_of(context.scene), *clouds_of(context.scene)][0])
         return {"FINISHED"}
 
 

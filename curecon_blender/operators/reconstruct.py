@@ -1,6 +1,7 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The main job: photos to a coloured point cloud in the scene; and a COLMAP model in place of our own cameras."""
+"""The main job: photos to a coloured point cloud in the scene, and on to a textured mesh where that is wanted; and a
+COLMAP model in place of our own cameras."""
 
 # mypy: disable-error-code="valid-type"
 # Blender reads its properties from annotations that are calls.
@@ -14,14 +15,17 @@ import bpy
 from bpy.props import StringProperty
 
 from ..core.errors import SparseError
+from ..core.options import SURFACE_STAGES
 from ..preferences import settings
 from . import places, running
+from .build_surface import surface_arguments
 from .import_workspace import bring_in
 from .running import WorkerOperator
 
 
-def job_arguments(context: bpy.types.Context, *, until: str | None = None) -> list[str]:
-    """The worker's command line for the scene's photos, workspace and options. Raises PhotoError."""
+def job_arguments(context: bpy.types.Context, *, until: str) -> list[str]:
+    """The worker's command line for the scene's photos, workspace and options, to the stage `until`. Raises
+    PhotoError."""
     properties, chosen = context.scene.curecon, settings(context)
     arguments = [
         "reconstruct", str(places.photos_folder(context.scene)),
@@ -36,13 +40,12 @@ def job_arguments(context: bpy.types.Context, *, until: str | None = None) -> li
         arguments += ["--views", str(properties.views)]
     if chosen.memory_gib is not None:
         arguments += ["--memory", str(chosen.memory_gib)]
-    if until is not None:
-        arguments += ["--until", until]
-    return arguments
+    arguments += ["--until", until]
+    return [*arguments, *surface_arguments(context.scene)] if until in SURFACE_STAGES else arguments
 
 
 class CURECON_OT_reconstruct(WorkerOperator, bpy.types.Operator):
-    """Find the cameras, compute a depth map for every photo and fuse them into a coloured point cloud.
+    """Find the cameras, compute a depth map for every photo and fuse them into a coloured point cloud or a surface.
 
 A cancelled or broken run goes on where it stopped"""
 
@@ -56,7 +59,7 @@ A cancelled or broken run goes on where it stopped"""
         return places.workspace_folder(context, context.scene)
 
     def arguments(self, context: bpy.types.Context) -> list[str]:
-        return job_arguments(context)
+        return job_arguments(context, until=context.scene.curecon.goal)
 
     def done(self, context: bpy.types.Context, scene: bpy.types.Scene, summary: dict[str, Any]) -> str:
         return bring_in(context, scene, places.workspace_folder(context, scene), photos=summary["photos"])

@@ -19,10 +19,11 @@ from ..preferences import settings
 POLL_SECONDS = 0.1
 STAGE_NAMES = {
     "photos": "Photos", "sparse": "Cameras", "views": "Undistorted photos", "depth": "Depth maps",
-    "fusion": "Point cloud",
+    "fusion": "Point cloud", "mesh": "Mesh", "texture": "Texture",
 }
 
 status = Status()
+step = ""  # the panel that the job was started from and that shows its progress: "reconstruct" or "surface"
 _job: Job | None = None
 
 
@@ -101,9 +102,12 @@ class WorkerOperator:
     """
 
     task = ""
+    step = "reconstruct"
     arguments: Callable[[bpy.types.Context], list[str]]
     done: Callable[[bpy.types.Context, bpy.types.Scene, dict[str, Any]], str]
-    report: Callable[[set[str], str], None]  # Blender's, of the operator that this is mixed into
+    # Blender's, of the operator that this is mixed into:
+    report: Callable[[set[str], str], None]
+    poll_message_set: Callable[..., None]
     _timer: bpy.types.Timer | None = None
 
     def workspace(self, context: bpy.types.Context) -> Path | None:
@@ -155,7 +159,8 @@ class WorkerOperator:
             context.workspace.status_text_set(None)
 
     def _start(self, context: bpy.types.Context) -> bool:
-        self._scene_uid = context.scene.session_uid
+        global step
+        self._scene_uid, step = context.scene.session_uid, self.step
         try:
             start(context, self.task, self.arguments(context), self.workspace(context))
         except CuReconError as error:

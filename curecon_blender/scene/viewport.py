@@ -73,17 +73,14 @@ def redraw() -> None:
                 area.tag_redraw()
 
 
-def frame(context: bpy.types.Context, points: bpy.types.Object) -> None:
-    """Turn every 3D viewport of the window to the cloud, without what lies far from most of it, from obliquely above,
-    with fitting clip planes. Viewports in camera view leave it."""
+def frame(context: bpy.types.Context, item: bpy.types.Object) -> None:
+    """Turn every 3D viewport of the window to a cloud or a surface, without what lies far from most of it, from
+    obliquely above, with fitting clip planes. Viewports in camera view leave it."""
     from mathutils import Euler, Vector
 
-    count = len(points.data.points)
-    if not count:
+    if (bounds := subject_bounds(item)) is None:
         return
-    positions = np.empty(count * 3, np.float32)
-    points.data.attributes["position"].data.foreach_get("vector", positions)
-    low, high = np.percentile(about_the_subject(positions.reshape(-1, 3)[:100_000]), [2, 98], axis=0)
+    low, high = bounds
     centre, size = (low + high) / 2, float(np.linalg.norm(high - low))
     for area in context.window.screen.areas if context.window is not None else ():
         if area.type != "VIEW_3D":
@@ -91,10 +88,32 @@ def frame(context: bpy.types.Context, points: bpy.types.Object) -> None:
         space = area.spaces.active
         view = space.region_3d
         view.view_perspective = "PERSP"
-        view.view_location = points.matrix_world @ Vector(centre.tolist())
+        view.view_location = item.matrix_world @ Vector(centre.tolist())
         view.view_rotation = Euler((np.radians(58), 0, np.radians(35))).to_quaternion()
         view.view_distance = size * 0.95
         space.clip_start, space.clip_end = size / 2000, size * 50
+
+
+def subject_bounds(item: bpy.types.Object) -> tuple[np.ndarray, np.ndarray] | None:
+    """Lowest and highest x, y, z (3,) of what most of a cloud or a surface is about, in its own frame; None for one
+    without points."""
+    attribute = item.data.attributes["position"]
+    positions = np.empty((len(attribute.data), 3), np.float32)
+    if not len(positions):
+        return None
+    attribute.data.foreach_get("vector", positions.ravel())
+    sample = positions[:: max(1, len(positions) // 100_000)]
+    low, high = np.percentile(about_the_subject(sample), [2, 98], axis=0)
+    return low, high
+
+
+def show_texture(context: bpy.types.Context, *, textured: bool) -> None:
+    """Let Solid shading show the surface's texture or its vertex colours, where it shows plain materials so far."""
+    for area in context.window.screen.areas if context.window is not None else ():
+        if area.type == "VIEW_3D":
+            shading = area.spaces.active.shading
+            if shading.color_type in {"MATERIAL", "TEXTURE", "VERTEX"}:
+                shading.color_type = "TEXTURE" if textured else "VERTEX"
 
 
 @persistent

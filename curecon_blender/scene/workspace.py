@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A finished workspace as a collection: one part a component, each with its cameras and its cloud."""
+"""A finished workspace as a collection: one part a component, each with its cameras, its cloud and its surface."""
 
 from __future__ import annotations
 
@@ -10,19 +10,23 @@ from pathlib import Path
 import bpy
 
 from ..core import components
+from ..core.mesh import Mesh, mesh_file, read_mesh, textured_folder
 from ..core.ply import read_cloud
 from ..core.types import Component, Frame
-from . import cameras, points
+from . import cameras, points, surface
 
 WORKSPACE_KEY = "curecon_workspace"  # on the collection: the workspace it was imported from
 
 
 @dataclass(frozen=True, kw_only=True)
 class Imported:
-    """What an import brought in. `clouds` are the PointCloud objects, largest component first."""
+    """What an import brought in. `clouds` are the PointCloud objects and `surfaces` the mesh objects, largest component
+    first; `filled` is the share of the surfaces' area that no photo measured."""
 
     collection: bpy.types.Collection
     clouds: tuple[bpy.types.Object, ...]
+    surfaces: tuple[bpy.types.Object, ...]
+    filled: float
     cameras: tuple[bpy.types.Object, ...]
     frame: Frame
     parts: int
@@ -32,24 +36,35 @@ class Imported:
     def points(self) -> int:
         return sum(len(cloud.data.points) for cloud in self.clouds)
 
+    @property
+    def faces(self) -> int:
+        return sum(len(item.data.polygons) for item in self.surfaces)
 
-def import_workspace(scene: bpy.types.Scene, folder: Path) -> Imported:
-    """Bring the workspace's cameras and clouds into the scene, in place of what an earlier import of it brought.
+    @property
+    def textured(self) -> bool:
+        return any(item.data.uv_layers for item in self.surfaces)
 
-    A component whose cloud has not been fused yet comes with its cameras alone. The render size, pixel aspect and
-    active camera follow the first photo. Everything is read before the scene is touched. Raises WorkspaceError.
+
+def import_workspace(scene: bpy.types.Scene, folder: Path, *, pack: bool = False) -> Imported:
+    """Bring the workspace's cameras, clouds and surfaces into the scene, in place of what an earlier import of it
+    brought.
+
+    A component comes with what has been made of it: a textured surface goes before a plain one, and where there is a
+    surface its cloud is hidden. `pack` puts the textures into the .blend. The render size, pixel aspect and active
+    camera follow the first photo. Everything is read before the scene is touched. Raises WorkspaceError.
     """
     folder = folder.resolve()
     parts = components.read(folder)
     clouds = [read_cloud(path) if (path := folder / part.cloud).is_file() else None for part in parts]
+    meshes = [_read_surface(folder, part.index) for part in parts]
 
     _remove_earlier(scene, folder)
     name = f"CU-Recon: {folder.name.removesuffix('_curecon')}"
     top = bpy.data.collections.new(name)
     top[WORKSPACE_KEY] = str(folder)
     scene.collection.children.link(top)
-    cloud_objects, camera_objects, missing = [], [], 0
-    for part, cloud in zip(parts, clouds, strict=True):
+    cloud_objects, surface_objects, camera_objects, missing = [], [], [], 0
+    for part, cloud, mesh in zip(parts, clouds, meshes, strict=True):
         collection = top if len(parts) == 1 else _child(top, f"Part {part.index + 1}")
         _describe(collection, part)
         holder = _child(collection, "Cameras")
@@ -61,6 +76,11 @@ def import_workspace(scene: bpy.types.Scene, folder: Path) -> Imported:
         if cloud is not None:
             label = "Cloud" if len(parts) == 1 else f"Cloud {part.index + 1}"
             cloud_objects.append(points.add(cloud, label, collection))
+            hide([cloud_objects[-1]], mesh is not None)
+        if mesh is not None:
+            label = "Surface" if len(parts) == 1 else f"Surface {part.index + 1}"
+            surface_objects.append(surface.add(*mesh, label, collection, pack=pack))
+            _describe(surface_objects[-1], part)  # exported on its own, it keeps its frame
     if camera_objects:
         scene.camera = camera_objects[0]
         cameras.fit_render(scene, camera_objects[0])
@@ -69,8 +89,10 @@ def import_workspace(scene: bpy.types.Scene, folder: Path) -> Imported:
         scene.unit_settings.scale_length = 1.0
     elif parts:
         scene.unit_settings.system = "NONE"  # lengths that nobody measured must not read as metres
+    areas = [surface.areas(mesh) for mesh, _ in filter(None, meshes)]
     return Imported(
-        collection=top, clouds=tuple(cloud_objects), cameras=tuple(camera_objects),
+        collection=top, clouds=tuple(cloud_objects), surfaces=tuple(surface_objects), cameras=tuple(camera_objects),
+        filled=sum(filled for filled, _ in areas) / max(sum(total for _, total in areas), 1e-12),
         frame=parts[0].frame if parts else Frame(scale="unknown", up="given"), parts=len(parts),
         missing_pictures=missing,
     )
@@ -82,18 +104,33 @@ def clouds_of(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     return sorted(found, key=lambda item: -len(item.data.points))
 
 
-def _describe(collection: bpy.types.Collection, part: Component) -> None:
+def hide(items: list[bpy.types.Object], hidden: bool) -> None:
+    """Hide objects from viewports and renders, or show them."""
+    for item in items:
+        item.hide_viewport = item.hide_render = hidden
+
+
+def _read_surface(folder: Path, index: int) -> tuple[Mesh, list[Path]] | None:
+    """A component's surface and its texture's pages; the textured one where there is one. Raises WorkspaceError."""
+    for path in (folder / textured_folder(index) / "mesh.ply", folder / mesh_file(index)):
+        if path.is_file():
+            mesh = read_mesh(path)
+            return mesh, surface.pictures(mesh, path)
+    return None
+
+
+def _describe(holder: bpy.types.Collection | bpy.types.Object, part: Component) -> None:
     """Put what is known of the part's frame where the user and other tools can read it."""
     frame = part.frame
-    collection["scale"], collection["up"], collection["north"] = frame.scale, frame.up, frame.north
+    holder["scale"], holder["up"], holder["north"] = frame.scale, frame.up, frame.north
     if frame.origin is not None:
-        collection["origin_latitude"] = frame.origin.latitude
-        collection["origin_longitude"] = frame.origin.longitude
-        collection["origin_altitude"] = frame.origin.altitude
+        holder["origin_latitude"] = frame.origin.latitude
+        holder["origin_longitude"] = frame.origin.longitude
+        holder["origin_altitude"] = frame.origin.altitude
     if frame.gps_residual is not None:
-        collection["gps_residual"] = frame.gps_residual
+        holder["gps_residual"] = frame.gps_residual
     if frame.note:
-        collection["note"] = frame.note
+        holder["note"] = frame.note
 
 
 def _child(parent: bpy.types.Collection, name: str) -> bpy.types.Collection:
@@ -108,6 +145,9 @@ def _remove_earlier(scene: bpy.types.Scene, folder: Path) -> None:
             continue
         for item in list(collection.all_objects):
             data = item.data
+            if surface.is_surface(item):
+                surface.remove(item)
+                continue
             ours = cameras.is_photo_camera(item) or (item.type == "POINTCLOUD" and points.CLOUD_KEY in data)
             if not ours:  # something that the user put here: keep it in the scene
                 if item.name not in scene.collection.objects:
