@@ -1,0 +1,241 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which photo each face of a mesh is textured from: candidates, exposure, consensus, and large patches.
+
+Every face keeps the few photos that see it best (`Candidates`), so memory does not grow with the number of photos. The
+choice minimises an energy as in Lempitsky and Ivanov 2007 and Waechter et al. 2014 ("Let There Be Color!"): a cost for
+a photo that is poorer than the face's best one or that disagrees with the others, and one for each edge between two
+photos. It is minimised by mean-field annealing over the face graph, all faces at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import spsolve
+
+CANDIDATES = 8  # photos kept a face
+UNSEEN = -1
+_NOTHING = -2  # stands beside the photos as a choice: no photo at all
+_NOTHING_COST = 1.5  # for a face that no photo measured
+_STRANGE_COST = 3.0  # for a photo that shows there what was measured nowhere about it
+_OUTLIER = 24.0  # of 255: a photo whose colour for a face is this far from the others' median is doubted
+_OUTLIER_COST = 3.0  # of one that is twice that far, where 1 is the cost of a photo that is worth nothing
+_EDGE = 0.5  # cost of an edge between two photos
+_TEMPERATURES = np.geomspace(0.6, 0.05, 12)
+_CLEAN_UP = 6
+_SMALL = 24  # faces: patches below it go to a neighbour that can take them
+_GAIN_FACES = 40_000  # a sample of faces is plenty to tell exposures
+_GAIN_PRIOR = 1e-3
+_BLOCK = 1 << 17
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """The best photos of each of M faces, in no order, filled in place.
+
+    `view` (M,K) int16, index of a photo or UNSEEN; `quality` (M,K) float32, 0 where there is none; `colour` (M,K,3)
+    uint8, mean sRGB about the face in that photo.
+    """
+
+    view: np.ndarray
+    quality: np.ndarray
+    colour: np.ndarray
+
+    @classmethod
+    def empty(cls, faces: int) -> Candidates:
+        return cls(
+            np.full((faces, CANDIDATES), UNSEEN, np.int16), np.zeros((faces, CANDIDATES), np.float32),
+            np.zeros((faces, CANDIDATES, 3), np.uint8),
+        )
+
+    def add(self, view: int, face: np.ndarray, quality: np.ndarray, colour: np.ndarray) -> None:
+        """Let photo `view` take the place of the poorest candidate of each `face` (n,), where it is better."""
+        slot = self.quality[face].argmin(axis=1)
+        better = quality > self.quality[face, slot]
+        face, slot = face[better], slot[better]
+        self.view[face, slot] = view
+        self.quality[face, slot] = quality[better]
+        self.colour[face, slot] = colour[better]
+
+
+def face_neighbours(faces: np.ndarray) -> np.ndarray:
+    """The face across each edge (M,3) int32 (edge k from corner k to k + 1), -1 at a border.
+
+    Where more than two faces share an edge, they are joined in pairs as they come.
+    """
+    ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2).astype(np.int64), axis=1)
+    key = ends[:, 0] * (int(faces.max(initial=0)) + 1) + ends[:, 1]
+    order = np.argsort(key, kind="stable")
+    same = key[order[1:]] == key[order[:-1]]
+    # In a run of equal edges the first goes with the second, the third with the fourth.
+    position = np.arange(len(same))
+    run_start = np.maximum.accumulate(np.where(np.r_[True, ~same[:-1]], position, 0)) if len(same) else position
+    first = np.flatnonzero(same & ((position - run_start) % 2 == 0))
+    neighbours = np.full(len(key), -1, np.int32)
+    one, two = order[first], order[first + 1]
+    neighbours[one], neighbours[two] = two // 3, one // 3
+    return neighbours.reshape(-1, 3)
+
+
+def exposure_gains(candidates: Candidates, views: int) -> np.ndarray:
+    """Factors (V,3) by which the photos' sRGB values agree best where they see the same faces; 1 on average.
+
+    From the median ratio of every pair of photos, so that moving things and shine do not count.
+    """
+    seen = np.flatnonzero((candidates.quality > 0).sum(axis=1) > 1)
+    if len(seen) > _GAIN_FACES:
+        seen = np.random.default_rng(0).choice(seen, _GAIN_FACES, replace=False)
+    view, colour = candidates.view[seen].astype(np.int64), candidates.colour[seen].astype(np.float32)
+    usable = (view >= 0) & (colour.min(axis=2) > 8) & (colour.max(axis=2) < 250)
+    log = np.log(np.maximum(colour, 1))
+    first, second = np.triu_indices(CANDIDATES, 1)
+    both = usable[:, first] & usable[:, second]
+    row, pair = np.nonzero(both)
+    a, b = view[row, first[pair]], view[row, second[pair]]
+    ratio = log[row, first[pair]] - log[row, second[pair]]
+    swap = a > b
+    a, b, ratio = np.where(swap, b, a), np.where(swap, a, b), np.where(swap[:, None], -ratio, ratio)
+    key = a * views + b
+    gains = np.zeros((views, 3))
+    pairs, start, count = np.unique(np.sort(key), return_index=True, return_counts=True)
+    if not len(pairs):
+        return np.ones((views, 3))
+    weight = np.sqrt(count)
+    p, q = np.divmod(pairs, views)
+    rows = np.repeat(np.arange(len(pairs)), 2)
+    difference = sp.csr_array(
+        (np.tile([1.0, -1.0], len(pairs)), (rows, np.stack([p, q], axis=1).ravel())), shape=(len(pairs), views)
+    )
+    normal = difference.T @ sp.diags_array(weight) @ difference
+    normal = sp.csc_array(normal + sp.diags_array(np.full(views, _GAIN_PRIOR * max(weight.sum() / views, 1e-9))))
+    for channel in range(3):
+        order = np.lexsort((ratio[:, channel], key))
+        median = ratio[order, channel][start + count // 2]
+        gains[:, channel] = spsolve(normal, difference.T @ (weight * -median))
+    return np.exp(gains - gains.mean(axis=0))
+
+
+def choose_photos(
+    candidates: Candidates, gains: np.ndarray, anchor: np.ndarray, trusted: np.ndarray, neighbours: np.ndarray
+) -> np.ndarray:
+    """The photo that textures each face, (M,) int16, UNSEEN where there is none.
+
+    `anchor` (M,3) uint8 sRGB is what the fused cloud says of each face's colour; it votes as one more photo where
+    `trusted` (M,). A face that is not `trusted` (no photo measured it) and looks like none of what was measured about
+    it is left unseen: most often that is sky behind a bulge of the surface.
+    """
+    cost = np.where(candidates.quality > 0, 0, np.float32(np.inf)).astype(np.float32)
+    for start in range(0, len(cost), _BLOCK):
+        block = slice(start, start + _BLOCK)
+        cost[block] += _data_cost(candidates, block, gains, anchor[block], trusted[block])
+    # No photo at all is one more choice, so that smoothing rounds off the outlines of unseen parts too.
+    nothing = np.where(np.isfinite(cost).any(axis=1), np.where(trusted, np.inf, _NOTHING_COST), 0)
+    cost = np.column_stack([cost, nothing.astype(np.float32)])
+    view = np.column_stack([candidates.view, np.full(len(cost), _NOTHING, np.int16)])
+    slot = _anneal(cost, neighbours, _shared_slots(view, neighbours))
+    label = _absorb_small_patches(slot, cost, view, neighbours)
+    return np.maximum(label, UNSEEN)
+
+
+def _data_cost(
+    candidates: Candidates, block: slice, gains: np.ndarray, anchor: np.ndarray, trusted: np.ndarray
+) -> np.ndarray:
+    view, quality = candidates.view[block], candidates.quality[block]
+    valid = quality > 0
+    poorer = 1 - quality / np.maximum(quality.max(axis=1, keepdims=True), 1e-30)
+    colour = candidates.colour[block] * gains[view].astype(np.float32)
+    votes = np.concatenate([np.where(valid[..., None], colour, np.inf),
+                            np.where(trusted[:, None, None], anchor[:, None].astype(np.float32), np.inf)], axis=1)
+    count = valid.sum(axis=1) + trusted
+    votes.sort(axis=1)
+    rows = np.arange(len(votes))
+    low, high = votes[rows, np.maximum(count - 1, 0) // 2], votes[rows, count // 2 - (count == votes.shape[1])]
+    median = np.where((count % 2 == 1)[:, None], low, (low + high) / 2)
+    with np.errstate(invalid="ignore"):
+        off = np.abs(colour - median[:, None]).max(axis=2)
+        spread = np.abs(np.where(np.isfinite(votes), votes, np.nan) - median[:, None]).max(axis=2)
+        spread = np.nan_to_num(spread, nan=np.inf)
+        spread.sort(axis=1)
+    typical = spread[rows, np.maximum(count - 1, 0) // 2]
+    limit = np.maximum(_OUTLIER, 2.5 * np.where(np.isfinite(typical), typical, 0))[:, None]
+    doubt = np.where((count >= 3)[:, None], np.clip(off / limit - 1, 0, 1.5), 0)
+    cost = poorer + np.float32(_OUTLIER_COST) * doubt
+    strange = np.abs(colour - anchor[:, None]).max(axis=2) > 2.5 * _OUTLIER
+    cost[~trusted[:, None] & strange] += _STRANGE_COST
+    cost[~valid] = np.inf
+    result: np.ndarray = cost.astype(np.float32)
+    return result
+
+
+def _shared_slots(view: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
+    """For each face, edge and slot, the neighbour's slot with the same photo, (M,3,K) int8, or -1."""
+    slots = np.full((*neighbours.shape, view.shape[1]), -1, np.int8)
+    for start in range(0, len(view), _BLOCK):
+        block = slice(start, start + _BLOCK)
+        for edge in range(3):
+            other = view[neighbours[block, edge]]
+            same = view[block, :, None] == other[:, None, :]
+            same &= (view[block, :, None] != UNSEEN) & (neighbours[block, edge] >= 0)[:, None, None]
+            slots[block, edge] = np.where(same.any(axis=2), same.argmax(axis=2), -1)
+    return slots
+
+
+def _anneal(cost: np.ndarray, neighbours: np.ndarray, transfer: np.ndarray) -> np.ndarray:
+    """The slot of each face (M,) int8."""
+    belief = _softmax(cost, _TEMPERATURES[0])
+    for temperature in _TEMPERATURES:
+        updated = np.empty_like(belief)
+        for start in range(0, len(cost), _BLOCK):
+            block = slice(start, start + _BLOCK)
+            agreement = np.zeros_like(cost[block])
+            for edge in range(3):
+                slot = transfer[block, edge]
+                theirs = np.take_along_axis(belief[neighbours[block, edge]], np.maximum(slot, 0), axis=1)
+                agreement += np.where(slot >= 0, theirs, 0)
+            updated[block] = _softmax(cost[block] - _EDGE * agreement, temperature)
+        # Half a step: with all faces at once a full one can swing between two states.
+        belief = 0.5 * (belief + updated)
+    return belief.argmax(axis=1).astype(np.int8)
+
+
+def _softmax(cost: np.ndarray, temperature: float) -> np.ndarray:
+    lowest = cost.min(axis=1, keepdims=True)
+    with np.errstate(invalid="ignore"):
+        weight = np.exp((np.where(np.isfinite(lowest), lowest, 0) - cost) / np.float32(temperature))
+    total = weight.sum(axis=1, keepdims=True)
+    result: np.ndarray = weight / np.maximum(total, np.finfo(np.float32).tiny)
+    return result
+
+
+def patches(label: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
+    """Numbers (M,) int32 from 0 of the connected patches of faces with the same label (M,)."""
+    face, edge = np.nonzero(neighbours >= 0)
+    other = neighbours[face, edge]
+    same = label[face] == label[other]
+    graph = sp.csr_array((np.ones(same.sum(), bool), (face[same], other[same])), shape=(len(label), len(label)))
+    numbers: np.ndarray = sp.csgraph.connected_components(graph, directed=False)[1]
+    return numbers
+
+
+def _absorb_small_patches(
+    slot: np.ndarray, cost: np.ndarray, view: np.ndarray, neighbours: np.ndarray
+) -> np.ndarray:
+    """From slots to photos, (M,) int16; faces of small patches take a neighbour's photo where they can at all."""
+    label: np.ndarray = view[np.arange(len(slot)), slot]
+    for _ in range(_CLEAN_UP):
+        patch = patches(label, neighbours)
+        small = np.bincount(patch)[patch] < _SMALL
+        face = np.flatnonzero(small)
+        theirs = neighbours[face]
+        offered = np.where((theirs >= 0) & ~small[theirs], label[theirs], UNSEEN)  # (n,3)
+        match = (view[face][:, None, :] == offered[..., None]) & (offered != UNSEEN)[..., None]
+        price = np.where(match, cost[face][:, None, :], np.inf).min(axis=2)
+        best = price.argmin(axis=1)
+        moves = price[np.arange(len(face)), best] < _OUTLIER_COST
+        if not moves.any():
+            break
+        label[face[moves]] = offered[np.arange(len(face)), best][moves]
+    return label

@@ -1,0 +1,126 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""From a finished cloud to a mesh and its texture, and the region that they are made of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from ..core.errors import SurfaceError
+from ..scene import region
+from ..scene.surface import surfaces_of
+from ..scene.workspace import clouds_of
+from . import places, running
+from .import_workspace import bring_in
+from .running import WorkerOperator
+
+
+def surface_arguments(scene: bpy.types.Scene) -> list[str]:
+    """The worker's options for mesh and texture, as the scene has them. Raises SurfaceError when a region is asked for
+    and there is none."""
+    properties = scene.curecon
+    arguments = [
+        "--fill-holes" if properties.fill_holes else "--no-fill-holes", "--max-faces", str(properties.max_faces),
+        "--texture-size", properties.texture_size, "--texture-format", properties.texture_format,
+    ]
+    if properties.use_region:
+        if properties.region is None:
+            raise SurfaceError(
+                "Region is ticked, but no region box is chosen.",
+                remedy="Choose or add a region box under Surface > Advanced, or untick Region.",
+            )
+        shown = (item for item in [*surfaces_of(scene), *clouds_of(scene)] if not item.hide_viewport)
+        reference = next(shown, None)  # a hidden object does not follow when the user moves things
+        # Never in exponents: the worker would take "-1e-05" for an option.
+        arguments += ["--region", *(f"{value:.6f}" for value in region.bounds(properties.region, reference))]
+    return arguments
+
+
+class _SurfaceOperator(WorkerOperator):
+    """Works in the workspace that the scene's cloud came from."""
+
+    step = "surface"
+    until = ""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if running.status.running:
+            cls.poll_message_set("Another job of CU-Recon is running")
+            return False
+        result = context.scene.curecon.result
+        if not result.workspace:
+            cls.poll_message_set("Reconstruct photos or import a workspace first")
+            return False
+        if not result.points:
+            cls.poll_message_set("The workspace has no point cloud yet: run Reconstruct to the end first")
+            return False
+        return True
+
+    def workspace(self, context: bpy.types.Context) -> Path | None:
+        return places.absolute(context.scene.curecon.result.workspace)
+
+    def arguments(self, context: bpy.types.Context) -> list[str]:
+        folder = str(self.workspace(context))
+        return ["surface", folder, "--until", self.until, *surface_arguments(context.scene)]
+
+    def done(self, context: bpy.types.Context, scene: bpy.types.Scene, summary: dict[str, Any]) -> str:
+        result = scene.curecon.result
+        return bring_in(context, scene, places.absolute(result.workspace), photos=result.photos, frame=False)
+
+
+class CURECON_OT_build_mesh(_SurfaceOperator, bpy.types.Operator):
+    """Make a closed surface of the point cloud, with the photos' colours at its vertices.
+
+What no photo measured is marked as filled"""
+
+    bl_idname = "curecon.build_mesh"
+    bl_label = "Build Mesh"
+    bl_options = {"UNDO"}
+
+    task = "Building the mesh"
+    until = "mesh"
+
+
+class CURECON_OT_texture(_SurfaceOperator, bpy.types.Operator):
+    """Paint the surface with the photos themselves; builds the mesh first where there is none.
+
+A cancelled or broken run goes on where it stopped"""
+
+    bl_idname = "curecon.texture"
+    bl_label = "Texture"
+    bl_options = {"UNDO"}
+
+    task = "Texturing"
+    until = "texture"
+
+
+class CURECON_OT_add_region(bpy.types.Operator):
+    """Add a box about the building, to be moved and scaled: the mesh is made of what lies inside"""
+
+    bl_idname = "curecon.add_region"
+    bl_label = "Add Region Box"
+    bl_options = {"UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if clouds_of(context.scene) or surfaces_of(context.scene):
+            return True
+        cls.poll_message_set("There is no cloud and no surface in the scene")
+        return False
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        around = [*clouds_of(context.scene), *surfaces_of(context.scene)][0]
+        box = region.add(context.scene, around)
+        properties = context.scene.curecon
+        properties.region, properties.use_region = box, True
+        for item in context.selected_objects:
+            item.select_set(False)
+        box.select_set(True)
+        context.view_layer.objects.active = box
+        return {"FINISHED"}
+
+
+CLASSES = (CURECON_OT_build_mesh, CURECON_OT_texture, CURECON_OT_add_region)

@@ -1,0 +1,214 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The surface as GLB, OBJ or PLY for other programs, through Blender's own exporters."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import bpy
+
+from ..core import export
+from ..core.errors import WorkspaceError
+from ..core.export import Provenance
+from ..core.files import disk_errors
+from ..core.types import GeoPosition
+from . import surface
+
+IMAGE_QUALITY = 90  # of JPEG and WebP in a GLB
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choices:
+    """How to export: `form` is "GLB", "OBJ" or "PLY"; `texture` (GLB only) is "AUTO", "JPEG" or "WEBP"; `unlit` (GLB
+    only) asks viewers for the photos' colours without lights of their own."""
+
+    form: str
+    texture: str = "AUTO"
+    unlit: bool = True
+    position: bool = True
+    licence: str = ""
+    credit: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Exported:
+    files: tuple[Path, ...]
+    has_position: bool
+    note: str = ""  # what the format could not hold
+
+
+def export_surfaces(
+    context: bpy.types.Context, items: list[bpy.types.Object], path: Path, choices: Choices
+) -> Exported:
+    """Write the surfaces to `path` and its pictures beside it; nothing is replaced unless all went well.
+
+    Vertices are written in the scene's axes (the site frame, Z up), GLB's turned to Y up as glTF wants it. Raises
+    WorkspaceError.
+    """
+    if not path.parent.is_dir():
+        raise WorkspaceError(
+            f"{path.parent} is not a folder.", remedy="Choose a folder that is there.", path=path.parent
+        )
+    about = {item.name: _provenance(item, choices) for item in items}
+    images = {name: image for item in items for name, image in surface.page_images(item).items()}
+    for image in images.values():
+        if image.packed_file is None and not _file_of(image).is_file():
+            raise WorkspaceError(
+                f"The texture {_file_of(image)} is missing.", path=_file_of(image),
+                remedy="Import the workspace again, or run Texture again.",
+            )
+    note = ""
+    with disk_errors(path), TemporaryDirectory(prefix=".curecon-", dir=path.parent) as scratch:
+        made = Path(scratch) / path.name
+        with _only(context, items):
+            if choices.form == "GLB":
+                _write_glb(made, items, about, choices, textured=bool(images))
+            elif choices.form == "OBJ":
+                _write_obj(made, about, images)
+            else:
+                note = _write_ply(made, about, images)
+        files = sorted(Path(scratch).iterdir())
+        for file in files:
+            os.replace(file, path.parent / file.name)
+    return Exported(
+        files=tuple(path.parent / file.name for file in files), note=note,
+        has_position=any(record.origin is not None for record in about.values()),
+    )
+
+
+def _write_glb(
+    path: Path, items: list[bpy.types.Object], about: dict[str, Provenance], choices: Choices, *, textured: bool
+) -> None:
+    _run(
+        bpy.ops.export_scene.gltf, path, export_format="GLB", use_selection=True, export_yup=True, export_apply=True,
+        export_animations=False, export_extras=False, export_materials="EXPORT",
+        export_image_format=choices.texture, export_jpeg_quality=IMAGE_QUALITY, export_image_quality=IMAGE_QUALITY,
+        # glTF multiplies vertex colours with the texture: a textured surface must not have them.
+        export_vertex_color="NONE" if textured else "NAME", export_vertex_color_name=surface.COLOUR,
+        export_all_vertex_colors=False,
+    )
+    filled = [m.name for item in items for m in item.data.materials if m is not None and surface.FILLED_KEY in m]
+    export.describe_glb(path, about, filled=filled, unlit=choices.unlit)
+
+
+def _write_obj(path: Path, about: dict[str, Provenance], images: dict[str, bpy.types.Image]) -> None:
+    _run(
+        bpy.ops.wm.obj_export, path, export_selected_objects=True, forward_axis="Y", up_axis="Z", export_uv=True,
+        export_normals=True, export_colors=not images, export_materials=True, path_mode="STRIP",
+        apply_modifiers=True,
+    )
+    export.comment_obj(path, _lines(about))
+    export.write_mtl(path.with_suffix(".mtl"), _write_pictures(path, images))
+
+
+def _write_ply(path: Path, about: dict[str, Provenance], images: dict[str, bpy.types.Image]) -> str:
+    """Returns what the file could not hold, in words."""
+    pictures = set(images.values())
+    several = len(pictures) > 1  # a PLY of Blender's has no way to say which face lies on which page
+    _run(
+        bpy.ops.wm.ply_export, path, export_selected_objects=True, forward_axis="Y", up_axis="Z",
+        export_uv=bool(images) and not several, export_normals=True, export_colors="SRGB", export_attributes=True,
+        apply_modifiers=True, ascii_format=False,
+    )
+    comments = _lines(about)
+    if images and not several:
+        comments += [f"TextureFile {name}" for name in set(_write_pictures(path, images).values())]
+    export.comment_ply(path, comments)
+    return (f"PLY holds one texture only and this surface has {len(pictures)}: it has vertex colours instead. "
+            "GLB and OBJ hold them all.") if several else ""
+
+
+def _write_pictures(path: Path, images: dict[str, bpy.types.Image]) -> dict[str, str]:
+    """Write each image beside `path` once; returns the file's name for each material."""
+    names: dict[bpy.types.Image, str] = {}
+    for image in images.values():
+        if image in names:
+            continue
+        source = _file_of(image)
+        names[image] = f"{path.stem}_texture_{len(names) + 1}{source.suffix}".replace(" ", "_")
+        content = image.packed_file.data if image.packed_file is not None else source.read_bytes()
+        (path.parent / names[image]).write_bytes(content)
+    return {name: names[image] for name, image in images.items()}
+
+
+def _file_of(image: bpy.types.Image) -> Path:
+    return Path(bpy.path.abspath(image.filepath, library=image.library))
+
+
+def _provenance(item: bpy.types.Object, choices: Choices) -> Provenance:
+    """What the importer left on the object."""
+    origin = None
+    if choices.position and "origin_latitude" in item:
+        origin = GeoPosition(
+            latitude=item["origin_latitude"], longitude=item["origin_longitude"], altitude=item["origin_altitude"],
+        )
+    return Provenance(
+        scale=item.get("scale", "unknown"), north=bool(item.get("north", False)), origin=origin,
+        licence=choices.licence, credit=choices.credit,
+    )
+
+
+def _lines(about: dict[str, Provenance]) -> list[str]:
+    if len(about) == 1:
+        return next(iter(about.values())).lines()
+    return [f"{name}: {line}" for name, record in about.items() for line in record.lines()]
+
+
+def _run(operator: bpy.types.Operator, path: Path, **arguments: object) -> None:
+    try:
+        operator(filepath=str(path), check_existing=False, **arguments)
+    except AttributeError as error:  # of the three, only glTF's exporter is an add-on
+        raise WorkspaceError(
+            "Blender's glTF exporter is switched off.",
+            remedy="Enable the add-on glTF 2.0 format in the preferences, then export again.", path=path,
+        ) from error
+    except RuntimeError as error:  # what Blender makes of an operator's error report
+        last = str(error).strip().splitlines()[-1]
+        raise WorkspaceError(
+            f"Blender could not export the surface: {last}",
+            remedy="Check the free space of the disk and the folder's permissions, or try another format.", path=path,
+        ) from error
+
+
+@contextmanager
+def _only(context: bpy.types.Context, items: list[bpy.types.Object]) -> Iterator[None]:
+    """The given objects shown, untinted and alone selected, as the exporters want it; afterwards all as before."""
+    layer, properties = context.view_layer, context.scene.curecon
+    outside = [item.name for item in items if item.name not in layer.objects]
+    if outside:
+        raise WorkspaceError(
+            f"{', '.join(outside)} is in a collection that the view layer leaves out.",
+            remedy="Tick that collection in the Outliner, then export again.",
+        )
+    if context.mode != "OBJECT":
+        bpy.ops.object.mode_set(mode="OBJECT")
+    selected, active = [item for item in layer.objects if item.select_get()], layer.objects.active
+    hidden = {item: (item.hide_viewport, item.hide_get()) for item in items}
+    try:
+        surface.show_filled(context.scene, False)
+        surface.simplify(items, True)
+        for item in selected:
+            item.select_set(False)
+        for item in items:
+            item.hide_viewport = False
+            item.hide_set(False)
+            item.select_set(True)
+        layer.objects.active = items[0]
+        layer.update()
+        yield
+    finally:
+        for item, (in_viewport, in_layer) in hidden.items():
+            item.select_set(False)
+            item.hide_set(in_layer)
+            item.hide_viewport = in_viewport
+        for item in selected:
+            item.select_set(True)
+        layer.objects.active = active
+        surface.simplify(items, False)
+        surface.show_filled(context.scene, properties.show_filled)

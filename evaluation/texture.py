@@ -1,0 +1,182 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How true a texture is: renders from cameras that were held out of texturing, against their photos.
+
+    python -m evaluation.texture WORKSPACE [--mesh FILE] [--every 8] [--page-size 4096] [--out FOLDER] [--json]
+
+The mesh of the workspace's first component is textured without every n-th view, with and without levelling at the
+seams, and rendered from the views left out, at the size of their undistorted pictures. PSNR (dB) and SSIM count the
+pixels that show a face which is not filled; SSIM's 7x7 window may reach beyond them. The photos' exposure differs, so
+both are also given after one gain for each photo and channel ("matched"). `--out` keeps renders beside photos.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import sys
+import tempfile
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from skimage.metrics import structural_similarity
+
+from curecon_blender.core import components, images
+from curecon_blender.core.baking import sample
+from curecon_blender.core.errors import CuReconError
+from curecon_blender.core.mesh import Mesh, mesh_file, read_mesh
+from curecon_blender.core.messages import Reporter
+from curecon_blender.core.texturing import TextureOptions, texture_mesh
+from curecon_blender.core.types import Component, View
+from curecon_blender.core.visibility import in_camera, project, scan_convert, triangle_areas
+
+
+@dataclass(frozen=True, kw_only=True)
+class TextureErrors:
+    """Means over the held-out photos. `psnr` in dB, `ssim` at most 1, both also `matched` in exposure; `covered`, the
+    share of the photos' pixels that count; `use`, the share of the pages that faces cover."""
+
+    level: bool
+    psnr: float
+    ssim: float
+    psnr_matched: float
+    ssim_matched: float
+    covered: float
+    pages: int
+    use: float
+    filled: float
+    seconds: float
+    cpu_seconds: float
+    peak_memory_gib: float
+
+
+def render(mesh: Mesh, pages: list[np.ndarray], view: View) -> tuple[np.ndarray, np.ndarray]:
+    """The textured mesh as `view` sees it: (H,W,3) uint8 sRGB, unlit, and the face at each pixel (H,W) int32, -1 where
+    there is none. Texels are averaged where several fall on a pixel."""
+    assert mesh.uv is not None and mesh.page is not None
+    camera = in_camera(mesh.vertices, view)
+    corners = project(camera, view.K)[mesh.faces]
+    with np.errstate(divide="ignore"):
+        inverse = (1 / camera[:, 2])[mesh.faces]
+    nearest = np.zeros(view.height * view.width, np.float32)
+    for face, pixel, weights in scan_convert(corners, view.width, view.height):
+        np.maximum.at(nearest, pixel, np.einsum("nk,nk->n", weights, inverse[face]))
+    shown = np.full(view.height * view.width, -1, np.int32)
+    uv = np.zeros((view.height * view.width, 2), np.float32)
+    for face, pixel, weights in scan_convert(corners, view.width, view.height):
+        share = weights * inverse[face]
+        depth = share.sum(axis=1)
+        front = depth >= nearest[pixel]
+        face, pixel, share, depth = face[front], pixel[front], share[front], depth[front]
+        shown[pixel] = face
+        uv[pixel] = np.einsum("nk,nkc->nc", share / depth[:, None], mesh.uv[face])
+    picture = np.zeros((view.height * view.width, 3), np.uint8)
+    levels = _levels(corners, mesh.uv, pages[0].shape[0])
+    at = np.flatnonzero(shown >= 0)
+    for number, page in enumerate(pages):
+        for level in np.unique(levels[shown[at]]):
+            here = at[(mesh.page[shown[at]] == number) & (levels[shown[at]] == level)]
+            side = max(1, page.shape[0] >> int(level))
+            small = page if level == 0 else cv2.resize(page, (side, side), interpolation=cv2.INTER_AREA)
+            picture[here] = sample(small, np.stack([uv[here, 0], 1 - uv[here, 1]], axis=1) * side)
+    return picture.reshape(view.height, view.width, 3), shown.reshape(view.height, view.width)
+
+
+def _levels(corners: np.ndarray, uv: np.ndarray, side: int) -> np.ndarray:
+    """How many times a page is halved for each face (M,) so that a texel is about a pixel."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        level = 0.5 * np.log2(triangle_areas(uv * side) / triangle_areas(corners))
+    result: np.ndarray = np.clip(np.rint(np.nan_to_num(level, posinf=0, neginf=0)), 0, 6).astype(np.int8)
+    return result
+
+
+def evaluate(
+    mesh: Mesh, component: Component, workspace: Path, options: TextureOptions, out: Path | None = None
+) -> TextureErrors:
+    """Texture without `options.exclude`, render from these views and compare with their undistorted pictures."""
+    before, start = resource.getrusage(resource.RUSAGE_SELF), time.monotonic()
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        textured = texture_mesh(mesh, component, workspace, options, folder, Reporter())
+        seconds, after = time.monotonic() - start, resource.getrusage(resource.RUSAGE_SELF)
+        pages = [images.read_rgb(folder / name) for name in textured.pages]
+    assert textured.uv is not None
+    use = float(triangle_areas(textured.uv).sum() / len(pages))
+    scores = []
+    for view in component.views:
+        if view.name not in options.exclude:
+            continue
+        photo = images.read_rgb(workspace / view.image)
+        picture, shown = render(textured, pages, view)
+        counted = (shown >= 0) & ~textured.filled[np.maximum(shown, 0)]
+        if not counted.any():
+            continue
+        scores.append((*_compare(picture, photo, counted), *_compare(_matched(picture, photo, counted), photo, counted),
+                       counted.mean()))
+        if out is not None:
+            images.write_jpeg(out / f"{view.name}_{'level' if options.level else 'raw'}.jpg",
+                              np.concatenate([picture, photo], axis=1))
+    means = np.mean(scores, axis=0) if scores else np.full(5, np.nan)
+    return TextureErrors(
+        level=options.level, psnr=float(means[0]), ssim=float(means[1]), psnr_matched=float(means[2]),
+        ssim_matched=float(means[3]), covered=float(means[4]), pages=len(pages), use=use,
+        filled=float(textured.filled.mean()), seconds=seconds,
+        cpu_seconds=after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime,
+        peak_memory_gib=after.ru_maxrss / 2**20,
+    )
+
+
+def _compare(picture: np.ndarray, photo: np.ndarray, counted: np.ndarray) -> tuple[float, float]:
+    """PSNR in dB and SSIM over the pixels `counted` (H,W)."""
+    error = (picture[counted].astype(np.float64) - photo[counted]) ** 2
+    _, similarity = structural_similarity(picture, photo, channel_axis=2, full=True)
+    return float(10 * np.log10(255**2 / max(error.mean(), 1e-9))), float(similarity[counted].mean())
+
+
+def _matched(picture: np.ndarray, photo: np.ndarray, counted: np.ndarray) -> np.ndarray:
+    gain = photo[counted].mean(axis=0) / np.maximum(picture[counted].mean(axis=0), 1)
+    result: np.ndarray = np.clip(np.rint(picture * gain), 0, 255).astype(np.uint8)
+    return result
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="evaluation.texture", description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("workspace", type=Path)
+    parser.add_argument("--mesh", type=Path, help="default: the workspace's mesh.ply")
+    parser.add_argument("--every", type=int, default=8, help="hold out every n-th view (default 8)")
+    parser.add_argument("--page-size", type=int, default=4096)
+    parser.add_argument("--out", type=Path, help="folder for renders beside their photos")
+    parser.add_argument("--json", action="store_true")
+    given = parser.parse_args(arguments)
+    try:
+        component = components.read(given.workspace)[0]
+        mesh = read_mesh(given.mesh or given.workspace / mesh_file(component.index))
+        held_out = tuple(view.name for view in component.views[given.every // 2 :: max(given.every, 2)])
+        results = [
+            evaluate(mesh, component, given.workspace, TextureOptions(
+                page_size=given.page_size, level=level, exclude=held_out), given.out)
+            for level in (True, False)
+        ]
+    except CuReconError as error:
+        print(f"{error}\n{error.remedy}", file=sys.stderr)
+        return error.exit_code
+    if given.json:
+        print(json.dumps([asdict(result) for result in results]))
+        return 0
+    print(f"held out: {', '.join(held_out)}")
+    for result in results:
+        print(f"{'levelled' if result.level else 'not levelled'}: "
+              f"PSNR {result.psnr:.2f} dB, SSIM {result.ssim:.3f}; matched in exposure {result.psnr_matched:.2f} dB, "
+              f"{result.ssim_matched:.3f}; covered {result.covered:.0%}; "
+              f"{result.pages} page(s), {result.use:.0%} used; filled faces {result.filled:.0%}; "
+              f"{result.seconds:.0f} s, {result.cpu_seconds:.0f} CPU s, peak {result.peak_memory_gib:.2f} GiB")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,94 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Build Mesh and Texture say why they cannot run, and what they tell the worker it understands. Argument: a folder."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import bpy
+import numpy as np
+import surface_scene
+import workspace_scene
+
+import curecon_blender
+from curecon_blender.core import worker
+from curecon_blender.operators.build_surface import surface_arguments
+from curecon_blender.operators.reconstruct import job_arguments
+from curecon_blender.properties import GOALS
+
+FOLDER = Path(sys.argv[1])
+
+
+def error_of(operator: Callable[..., object], **options: object) -> str:
+    try:
+        result = operator(**options)
+    except RuntimeError as error:  # what Blender makes of an operator's error report
+        return str(error)
+    raise AssertionError(f"no error, but {result}")
+
+
+curecon_blender.register()
+try:
+    bpy.ops.wm.read_homefile(use_empty=True)
+    properties = bpy.context.scene.curecon
+    for operator in (bpy.ops.curecon.build_mesh, bpy.ops.curecon.texture, bpy.ops.curecon.add_region,
+                     bpy.ops.curecon.export_surface):
+        assert not operator.poll()
+    assert "import a workspace first" in error_of(bpy.ops.curecon.build_mesh)
+    assert "no surface in the scene" in error_of(bpy.ops.curecon.export_surface)
+
+    empty = FOLDER / "empty"
+    workspace_scene.write(empty)
+    (empty / "cloud.ply").unlink()
+    bpy.ops.curecon.import_workspace(directory=str(empty))
+    assert "no point cloud yet" in error_of(bpy.ops.curecon.texture)
+
+    folder = FOLDER / "one"
+    workspace_scene.write(folder)
+    surface_scene.write(folder, textured=False)
+    bpy.ops.wm.read_homefile(use_empty=True)
+    properties = bpy.context.scene.curecon
+    bpy.ops.curecon.import_workspace(directory=str(folder))
+    assert bpy.ops.curecon.build_mesh.poll() and bpy.ops.curecon.texture.poll()
+
+    # The region is the box's bounds in the site frame, wherever the user has moved the cloud.
+    assert "--region" not in surface_arguments(bpy.context.scene)
+    assert bpy.ops.curecon.add_region() == {"FINISHED"}
+    box = properties.region
+    bounds = np.array(surface_arguments(bpy.context.scene)[-6:], float)
+    assert np.all(bounds[:3] < [1, 1, 0.2]) and np.all(bounds[3:] > [9, 9, 0.8]), bounds
+    for name in [item.name for item in bpy.context.scene.objects if item is not box]:
+        bpy.data.objects[name].location.x += 100
+    box.location, box.scale = (102, 3, -0.00001), (1, 2, 0.5)
+    bpy.context.view_layer.update()
+    arguments = surface_arguments(bpy.context.scene)
+    assert np.allclose(np.array(arguments[-6:], float), [1, 1, -0.5, 3, 5, 0.5], atol=1e-4), arguments
+    assert not any("e" in value for value in arguments[-6:])
+
+    # The worker's own parser takes every choice.
+    properties.photos = str(FOLDER)
+    understand = worker._parser().parse_args
+    for goal, *_ in GOALS:
+        assert understand(job_arguments(bpy.context, until=goal)).until == goal
+    properties.fill_holes, properties.max_faces = False, 5000
+    properties.texture_size, properties.texture_format = "8192", "jpeg"
+    told = understand(["surface", str(folder), "--until", "mesh", *surface_arguments(bpy.context.scene)])
+    assert (told.fill_holes, told.max_faces, told.texture_size, told.texture_format) == (False, 5000, 8192, "jpeg")
+    assert len(told.region) == 6 and told.workspace == folder
+    properties.region = None
+    assert "no region box is chosen" in error_of(bpy.ops.curecon.build_mesh)
+    properties.use_region = False
+
+    # A worker that cannot: an error in words, and the surface in the scene stays.
+    shutil.rmtree(folder / "stages", ignore_errors=True)
+    said = error_of(bpy.ops.curecon.build_mesh)
+    print(said)
+    assert len(said.split()) > 6 and not any(word in said for word in ("Traceback", "usage", "unexpectedly"))
+    assert properties.result.faces == 800 and "Surface" in bpy.data.objects
+finally:
+    curecon_blender.unregister()
+print("CHECKED")

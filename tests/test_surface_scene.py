@@ -1,0 +1,248 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The surface in Blender 4.5 LTS and 5.2 LTS, and what other programs find in its exports."""
+
+from __future__ import annotations
+
+import functools
+import http.server
+import importlib.util
+import json
+import os
+import shutil
+import struct
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from test_extension import _blender52, blender, run_script  # noqa: F401
+
+from curecon_blender.core import export
+from curecon_blender.core.errors import WorkspaceError
+from curecon_blender.core.export import Provenance
+from curecon_blender.core.types import GeoPosition
+
+WEB = Path(__file__).parent / "web"
+QUARTERS = np.array([(200, 40, 30), (40, 180, 60), (50, 70, 200), (220, 200, 60)])
+ORIGIN = {"crs": "WGS84", "latitude": 24.5, "longitude": 117.25, "altitude": 310.0}
+
+
+@pytest.fixture(scope="module", params=["4.5", "5.2"])
+def exports(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the little surface exported in every form by that Blender."""
+    python = Path(sys.executable) if request.param == "4.5" else _blender52()
+    if not python.is_file() or (request.param == "4.5" and importlib.util.find_spec("bpy") is None):
+        pytest.skip(f"no Python with bpy {request.param}")
+    folder = tmp_path_factory.mktemp("exports")
+    run_script(python, "export_surface.py", folder, resources=tmp_path_factory.mktemp("user"))
+    return folder
+
+
+def glb_json(path: Path) -> dict[str, Any]:
+    content = path.read_bytes()
+    assert struct.unpack("<I", content[8:12])[0] == len(content)
+    length = struct.unpack("<I", content[12:16])[0]
+    return json.loads(content[20 : 20 + length])
+
+
+def colours_of(mesh: trimesh.Trimesh) -> np.ndarray:
+    """sRGB bytes (N,3) of the texture at the vertices."""
+    return np.asarray(mesh.visual.to_color().vertex_colors)[:, :3].astype(int)
+
+
+def z_up(scene: trimesh.Scene) -> list[trimesh.Trimesh]:
+    """A GLB's meshes in the site frame again."""
+    meshes = scene.dump()
+    for mesh in meshes:
+        mesh.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
+    return meshes
+
+
+def found_colours(meshes: list[trimesh.Trimesh]) -> np.ndarray:
+    """The colour (4,3) of each quarter's middle, from whichever mesh holds it."""
+    places = np.concatenate([mesh.vertices[:, :2] for mesh in meshes])
+    colours = np.concatenate([colours_of(mesh) for mesh in meshes])
+    middles = np.array([(2.5, 2.5), (7.5, 2.5), (2.5, 7.5), (7.5, 7.5)])
+    return colours[np.linalg.norm(places - middles[:, None], axis=2).argmin(axis=1)]
+
+
+def test_a_surface_comes_in_with_all_that_is_known_of_it(blender: Path, tmp_path: Path) -> None:  # noqa: F811
+    work = tmp_path / "work"
+    work.mkdir()
+    run_script(blender, "check_surface.py", work, resources=tmp_path / "user")
+
+
+def test_the_operators_say_why_not_and_what_they_tell_the_worker(
+    blender: Path, tmp_path: Path  # noqa: F811
+) -> None:
+    work = tmp_path / "work"
+    work.mkdir()
+    run_script(blender, "check_surface_operators.py", work, resources=tmp_path / "user")
+
+
+@pytest.mark.parametrize("name", ["textured", "jpeg", "webp", "packed", "pages"])
+def test_a_glb_has_the_colours_and_the_size(exports: Path, name: str) -> None:
+    meshes = z_up(trimesh.load(exports / f"{name}.glb"))
+    corners = np.concatenate([mesh.bounds for mesh in meshes])
+    np.testing.assert_allclose([corners.min(axis=0), corners.max(axis=0)], [[0, 0, 0], [10, 10, 1]], atol=1e-5)
+    assert sum(len(mesh.faces) for mesh in meshes) == 800
+    tolerance = 12 if name in ("jpeg", "webp") else 3
+    assert np.abs(found_colours(meshes) - QUARTERS).max() <= tolerance
+
+
+def test_a_glb_without_a_texture_has_vertex_colours(exports: Path) -> None:
+    content, binary = glb_json(exports / "plain.glb"), (exports / "plain.glb").read_bytes()
+    start = 20 + struct.unpack("<I", binary[12:16])[0] + 8
+
+    def values(index: int) -> np.ndarray:
+        accessor = content["accessors"][index]
+        kind = {5121: np.uint8, 5123: np.uint16, 5126: np.float32}[accessor["componentType"]]
+        width = {"VEC3": 3, "VEC4": 4}[accessor["type"]]
+        offset = start + content["bufferViews"][accessor["bufferView"]].get("byteOffset", 0)
+        rows = np.frombuffer(binary, kind, accessor["count"] * width, offset).reshape(-1, width)
+        return rows if kind is np.float32 else rows / np.iinfo(kind).max
+
+    for primitive in content["meshes"][0]["primitives"]:
+        attributes = primitive["attributes"]
+        assert "COLOR_1" not in attributes and "TEXCOORD_0" not in attributes
+        places, linear = values(attributes["POSITION"]), values(attributes["COLOR_0"])[:, :3]
+        colours = 255 * np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+        assert np.abs(colours - QUARTERS[(places[:, 0] > 5) + 2 * (places[:, 2] < -5)]).max() < 1
+
+
+def test_a_glb_says_where_it_stands_and_whose_it_is(exports: Path) -> None:
+    content = glb_json(exports / "textured.glb")
+    (node,) = content["nodes"]
+    assert node["extras"]["origin"] == content["asset"]["extras"]["origin"] == ORIGIN
+    assert node["extras"]["scale"] == "metres" and node["extras"]["north"] is True
+    assert content["asset"]["copyright"] == "福建 Team and Co, CC BY 4.0"
+    assert content["asset"]["extras"]["axes"].startswith("Y up")
+    assert sorted(material["extras"]["filled"] for material in content["materials"]) == [False, True]
+    for material in content["materials"]:  # matte, and with no light of its own to be added to the viewer's
+        assert "emissiveTexture" not in material and not any(material.get("emissiveFactor", [0]))
+        assert material["pbrMetallicRoughness"].get("roughnessFactor", 1) == 1
+        assert "KHR_materials_unlit" in material["extensions"]
+    lit = glb_json(exports / "jpeg.glb")
+    assert "KHR_materials_unlit" not in lit["extensionsUsed"]
+    assert [image["mimeType"] for image in lit["images"]] == ["image/jpeg"]
+    assert [image["mimeType"] for image in glb_json(exports / "webp.glb")["images"]] == ["image/webp"]
+    assert len(glb_json(exports / "pages.glb")["images"]) == 2
+
+
+@pytest.mark.parametrize("name", ["secret.glb", "secret.obj", "secret.ply", "secret.mtl"])
+def test_the_position_can_be_left_out(exports: Path, name: str) -> None:
+    content = (exports / name).read_bytes()
+    for word in (b"117.25", b"24.5", b"latitude", b"origin"):
+        assert word not in content
+    assert name == "secret.mtl" or b"CC BY 4.0" in content
+
+
+@pytest.mark.parametrize("name", ["my site", "packed", "pages"])
+def test_an_obj_reads_back_in_the_site_frame(exports: Path, name: str) -> None:
+    path = exports / f"{name}.obj"
+    head = path.read_text(encoding="utf-8").splitlines()[:5]
+    assert "Z up, x east, y north, metres" in head[0]
+    assert "latitude 24.500000000 longitude 117.250000000 altitude 310.0000" in head[1]
+    assert "# credit: 福建 Team and Co" in head
+    # trimesh splits at spaces, so it wants the material file under a name without.
+    plain = path.with_name("read_" + path.name.replace(" ", "_"))
+    plain.write_text(path.read_text(encoding="utf-8").replace("mtllib my site.mtl", "mtllib my_site.mtl"), "utf-8")
+    if " " in name:
+        shutil.copy(path.with_suffix(".mtl"), exports / "my_site.mtl")
+    loaded = trimesh.load(plain)
+    meshes = loaded.dump() if isinstance(loaded, trimesh.Scene) else [loaded]
+    np.testing.assert_allclose(np.concatenate([m.bounds for m in meshes]).max(axis=0), [10, 10, 1], atol=1e-5)
+    assert np.abs(found_colours(meshes) - QUARTERS).max() <= 3
+    rows = (exports / "plain.obj").read_text(encoding="utf-8").splitlines()
+    vertices = np.array([row.split()[1:] for row in rows if row.startswith("v ")], float)  # trimesh drops the colours
+    quarter = (vertices[:, 0] > 5) + 2 * (vertices[:, 1] > 5)
+    assert np.abs(vertices[:, 3:] * 255 - QUARTERS[quarter]).max() < 1
+    assert "None" not in path.with_suffix(".mtl").read_text() and "blend" not in path.with_suffix(".mtl").read_text()
+
+
+@pytest.mark.parametrize("name", ["my site", "plain", "pages"])
+def test_a_ply_reads_back_with_its_marks(exports: Path, name: str) -> None:
+    path = exports / f"{name}.ply"
+    header = path.read_bytes().split(b"end_header")[0].decode()
+    assert "comment origin WGS84 latitude 24.500000000" in header and "comment licence: CC BY 4.0" in header
+    mesh = trimesh.load(path)
+    np.testing.assert_allclose(mesh.bounds, [[0, 0, 0], [10, 10, 1]], atol=1e-5)
+    rows = mesh.metadata["_ply_raw"]["vertex"]["data"]
+    x, y = np.asarray(rows["x"]).ravel(), np.asarray(rows["y"]).ravel()
+    filled = (x > 5) & (y > 5)
+    assert np.array_equal(np.asarray(rows["views"]).ravel() == 0, filled)
+    assert np.allclose(np.asarray(rows["distance"]).ravel(), np.where(filled, 0.5, 0.01))
+    colours = np.stack([np.asarray(rows[c]).ravel() for c in ("red", "green", "blue")], axis=1).astype(int)
+    assert np.abs(colours - QUARTERS[(x > 5) + 2 * (y > 5)]).max() <= 1
+    if name == "my site":
+        assert np.allclose(np.asarray(rows["s"]).ravel(), x / 10) and np.allclose(np.asarray(rows["t"]).ravel(), y / 10)
+        assert "comment TextureFile my_site_texture_1.png" in header
+        assert (exports / "my_site_texture_1.png").is_file()
+    else:
+        assert "TextureFile" not in header and "property float s" not in header
+
+
+def test_a_glb_opens_in_a_browser(exports: Path, tmp_path: Path) -> None:
+    """three.js in headless Chromium, over the computer's own loopback."""
+    chromium = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
+    if chromium is None:
+        pytest.skip("NOT TESTED in a browser: no chromium; apt-get install chromium, or set CHROMIUM")
+    if not (WEB / "node_modules" / "three").is_dir():
+        pytest.skip("NOT TESTED in a browser: no three.js; npm ci --prefix tests/web")
+    shutil.copy(WEB / "view.html", tmp_path)
+    (tmp_path / "node_modules").symlink_to(WEB / "node_modules")
+    for name in ("textured", "plain"):
+        shutil.copy(exports / f"{name}.glb", tmp_path / "model.glb")
+        found = _browse(chromium, tmp_path)
+        assert "error" not in found, found["error"]
+        np.testing.assert_allclose(found["size"], [10, 1, 10], atol=1e-5)
+        assert np.abs(np.array(found["quarters"]) - QUARTERS).max() <= 3, found["quarters"]
+        assert found["nodes"][0]["origin"] == ORIGIN and "CC BY 4.0" in found["asset"]["copyright"]
+        assert sorted(material["filled"] for material in found["materials"]) == [False, True]
+        assert {material["type"] for material in found["materials"]} == {"MeshBasicMaterial"}  # unlit
+
+
+def _browse(chromium: str, folder: Path) -> dict[str, Any]:
+    """What view.html, served from `folder`, found in model.glb."""
+
+    class Quiet(http.server.SimpleHTTPRequestHandler):
+        def log_message(self, *_: object) -> None: ...
+
+    with http.server.ThreadingHTTPServer(
+        ("127.0.0.1", 0), functools.partial(Quiet, directory=str(folder))
+    ) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        try:
+            ran = subprocess.run(
+                [chromium, "--headless=new", "--no-sandbox", "--disable-gpu-sandbox", "--use-angle=swiftshader",
+                 "--enable-unsafe-swiftshader", "--disable-dev-shm-usage", f"--user-data-dir={folder / 'profile'}",
+                 "--virtual-time-budget=20000", "--dump-dom", f"http://127.0.0.1:{server.server_port}/view.html"],
+                capture_output=True, text=True, timeout=120, check=False,
+            )
+        finally:
+            server.shutdown()
+    body = ran.stdout.partition("<body>")[2].partition("</body>")[0]
+    assert body.startswith("{"), f"{ran.stdout[-2000:]}\n{ran.stderr[-2000:]}"
+    found: dict[str, Any] = json.loads(body)
+    return found
+
+
+def test_what_is_unknown_is_not_written() -> None:
+    unknown = Provenance(scale="unknown", north=False)
+    assert unknown.copyright == "" and unknown.lines() == ["CU-Recon: Z up, of unknown scale"]
+    assert set(unknown.extras()) == {"generator", "scale", "north"}
+    sneaky = Provenance(scale="metres", north=True, credit="A\nend_header\n", origin=GeoPosition(**{
+        name: ORIGIN[name] for name in ("latitude", "longitude", "altitude")}))
+    assert not any("\n" in line for line in sneaky.lines())
+
+
+def test_a_file_that_is_no_glb_is_an_error_in_words(tmp_path: Path) -> None:
+    path = tmp_path / "model.glb"
+    path.write_bytes(b"x" * 40)
+    with pytest.raises(WorkspaceError, match="not a GLB"):
+        export.describe_glb(path, {"Surface": Provenance(scale="metres", north=True)})
