@@ -18,12 +18,10 @@ cache of other photos that is bounded in bytes; the depths accepted wait on disk
 
 from __future__ import annotations
 
-import shutil
 import zipfile
 import zlib
 from collections import OrderedDict
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,7 +30,7 @@ import numpy as np
 
 from . import images
 from .errors import CuReconError, PhotoError, WorkspaceError
-from .files import disk_errors
+from .files import disk_errors, scratch_folder
 from .messages import Reporter
 from .options import Options
 from .ply import Cloud, CloudWriter
@@ -87,7 +85,7 @@ def fuse(
     order = _finest_first(component.views, workspace, reporter)
     neighbours = _neighbours(component.views)
     depth_maps = _Cache(workspace, cache_bytes, z_up=component.frame.up != "given")
-    with _scratch(workspace / ".fusion") as folder, CloudWriter(workspace / component.cloud) as writer:
+    with scratch_folder(workspace / ".fusion") as folder, CloudWriter(workspace / component.cloud) as writer:
         fused: dict[str, tuple[View, Path]] = {}  # views done, with the file of what they accepted
         for done, view in enumerate(order):
             reporter.progress(done, len(order))
@@ -415,15 +413,3 @@ def _read_arrays(view: View, workspace: Path, *keys: str) -> list[np.ndarray]:
     ):
         raise WorkspaceError(f"The depth map {path} was made for another camera.", remedy=remedy, path=path)
     return arrays
-
-
-@contextmanager
-def _scratch(folder: Path) -> Iterator[Path]:
-    """A scratch folder that is empty at the start, whatever a killed run left there, and gone in the end."""
-    shutil.rmtree(folder, ignore_errors=True)
-    with disk_errors(folder):
-        folder.mkdir(parents=True)
-    try:
-        yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)

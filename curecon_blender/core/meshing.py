@@ -14,16 +14,21 @@ Lengths are in spacings: the local spacing is the side of the square that one po
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+import sys
+import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import pycolmap
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from .errors import CuReconError
+from .errors import SurfaceError
 from .files import disk_errors
 from .mesh import Mesh
 from .messages import Reporter
@@ -41,14 +46,23 @@ _SMALLEST_PART = 500  # points' worth of surface: a part with less is floating d
 _REGION_MARGIN = 10.0  # median spacings: what lies just outside the region still shapes the surface within
 _NEIGHBOURS = 4  # measured points that a vertex takes its colour and views from
 _SHORTEST_EDGE = 1e-3  # median spacings: vertices nearer than this are one
+# The process goes with the worker, even if that is killed; where the system cannot arrange it, it ends when it is done.
+_CHILD = """
+import ctypes, json, sys
+if sys.platform == "linux":
+    ctypes.CDLL(None).prctl(1, 9)
+import pycolmap
+call, kind, source, target, settings = sys.argv[1:]
+options = getattr(pycolmap, kind)()
+for name, value in json.loads(settings).items():
+    setattr(options, name, value)
+getattr(pycolmap, call)(source, target, options)
+"""
 _TRIANGLE = np.dtype([("corners", "u1"), ("vertices", "<i4", 3)])
 
 
-class MeshError(CuReconError):
+class MeshError(SurfaceError):
     """No surface can be made of this cloud with these options."""
-
-    exit_code = 10
-    kind = "mesh"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +95,7 @@ def build_mesh(cloud: Cloud, options: MeshOptions, scratch: Path, reporter: Repo
     cloud, local_spacing = _without_strays(_near_region(cloud, options, spacing), spacing)
     support = _Support(cloud, local_spacing)
     reporter.progress(1, steps)
-    vertices, faces = _poisson(cloud, spacing, scratch)
+    vertices, faces = _poisson(cloud, spacing, scratch, reporter)
     reporter.progress(2, steps)
     distance, nearest = support.nearest(vertices)
     supported = distance <= support.radius[nearest]
@@ -93,7 +107,7 @@ def build_mesh(cloud: Cloud, options: MeshOptions, scratch: Path, reporter: Repo
     vertices, faces = _clean(vertices, faces, spacing)
     reporter.progress(3, steps)
     if len(faces) > options.max_faces:
-        vertices, faces = _simplify(vertices, faces, options.max_faces, scratch)
+        vertices, faces = _simplify(vertices, faces, options.max_faces, scratch, reporter)
         if options.region is not None:
             vertices = np.clip(vertices, *np.array(options.region, np.float32))  # simplification moves vertices
         vertices, faces = _clean(vertices, faces, spacing)
@@ -269,21 +283,20 @@ def _spread(number: np.ndarray) -> np.ndarray:
     return np.stack([u, v, 1 - u - v], axis=1)
 
 
-def _poisson(cloud: Cloud, spacing: float, scratch: Path) -> tuple[np.ndarray, np.ndarray]:
+def _poisson(cloud: Cloud, spacing: float, scratch: Path, reporter: Reporter) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (n,3) float32 and faces (m,3) int32 of the untrimmed Poisson surface."""
     extent = _POISSON_MARGIN * float(np.ptp(cloud.points, axis=0).max())
-    options = pycolmap.PoissonMeshingOptions()
-    options.depth = int(np.clip(np.round(np.log2(extent / spacing)), *_DEPTHS))
-    options.trim, options.color = 0, False
+    depth = int(np.clip(np.round(np.log2(extent / spacing)), *_DEPTHS))
     points, surface = scratch / "poisson_points.ply", scratch / "poisson_surface.ply"
     try:
         with disk_errors(scratch):
             scratch.mkdir(parents=True, exist_ok=True)
             with CloudWriter(points) as writer:
                 writer.write(cloud)
-            pycolmap.poisson_meshing(points, surface, options)
+            _pycolmap("poisson_meshing", "PoissonMeshingOptions", points, surface, reporter, depth=depth, trim=0,
+                      color=False)
             return _read_triangles(surface)
-    except (RuntimeError, ValueError) as error:
+    except (FileNotFoundError, RuntimeError, ValueError) as error:
         raise MeshError(f"No surface could be made of the cloud: {error}",
                         remedy="See that the disk is not full; reconstruct again if the cloud looks wrong.",
                         path=points) from error
@@ -292,18 +305,42 @@ def _poisson(cloud: Cloud, spacing: float, scratch: Path) -> tuple[np.ndarray, n
         surface.unlink(missing_ok=True)
 
 
-def _simplify(vertices: np.ndarray, faces: np.ndarray, count: int, scratch: Path) -> tuple[np.ndarray, np.ndarray]:
+def _pycolmap(call: str, kind: str, source: Path, target: Path, reporter: Reporter, **settings: Any) -> None:
+    """`pycolmap.call(source, target, kind(**settings))` in a process of its own: it holds Python's lock for as long as
+    it works, and nobody could cancel. Raises RuntimeError with its last words when it fails."""
+    arguments = [call, kind, str(source), str(target), json.dumps(settings)]
+    words = source.with_suffix(".log")
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+    try:
+        with words.open("wb") as log, subprocess.Popen(
+            [sys.executable, "-c", _CHILD, *arguments], stdin=subprocess.DEVNULL, stdout=log, stderr=log,
+            env=environment,
+        ) as process:
+            try:
+                while process.poll() is None:
+                    reporter.check_cancelled()
+                    time.sleep(0.05)
+            finally:
+                process.kill()
+        if process.returncode:
+            said = words.read_text("utf-8", "replace").strip().splitlines()
+            raise RuntimeError(said[-1] if said else f"it ended with {process.returncode}")
+    finally:
+        words.unlink(missing_ok=True)
+
+
+def _simplify(
+    vertices: np.ndarray, faces: np.ndarray, count: int, scratch: Path, reporter: Reporter
+) -> tuple[np.ndarray, np.ndarray]:
     """At most `count` faces, by quadric edge collapse."""
-    options = pycolmap.MeshSimplificationOptions()
-    options.interpolate_colors = False
     fine, coarse = scratch / "fine.ply", scratch / "coarse.ply"
     try:
         with disk_errors(scratch):
             _write_triangles(fine, vertices, faces)
-            options.target_face_ratio = count / len(faces)
-            pycolmap.simplify_mesh(fine, coarse, options)
+            _pycolmap("simplify_mesh", "MeshSimplificationOptions", fine, coarse, reporter,
+                      target_face_ratio=count / len(faces), interpolate_colors=False)
             return _read_triangles(coarse)
-    except (RuntimeError, ValueError) as error:
+    except (FileNotFoundError, RuntimeError, ValueError) as error:
         raise MeshError(f"The surface could not be simplified: {error}",
                         remedy="See that the disk is not full, or give a larger face target.", path=fine) from error
     finally:

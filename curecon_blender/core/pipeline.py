@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-import tempfile
 import threading
 import time
 from collections.abc import Callable
@@ -21,7 +20,7 @@ import psutil
 
 from . import components as components_file
 from .errors import SparseError, SurfaceError, WorkspaceError
-from .files import write_json
+from .files import scratch_folder, write_json
 from .mesh import Mesh, mesh_file, read_mesh, textured_folder, write_mesh
 from .messages import Reporter
 from .options import PRESETS, STAGES, SURFACE_STAGES, Options
@@ -178,12 +177,13 @@ class _Job:
         from .ply import read_cloud
 
         options, root = self.options, self.workspace.root
-        region = (options.region[:3], options.region[3:]) if options.region else None
+        x0, y0, z0, x1, y1, z1 = options.region or (0.0,) * 6
+        region = ((x0, y0, z0), (x1, y1, z1)) if options.region else None
         settings = MeshOptions(fill_holes=options.fill_holes, max_faces=options.max_faces, region=region)
 
         def build(component: Component) -> None:
-            with tempfile.TemporaryDirectory(prefix=".mesh", dir=root) as scratch:
-                mesh = build_mesh(read_cloud(root / component.cloud), settings, Path(scratch), self.reporter)
+            with scratch_folder(root / ".mesh") as scratch:
+                mesh = build_mesh(read_cloud(root / component.cloud), settings, scratch, self.reporter)
             write_mesh(root / mesh_file(component.index), mesh)
 
         def run() -> None:
@@ -279,7 +279,7 @@ class _Job:
 
 
 class PeakMemory:
-    """The process's largest resident memory while the block runs, sampled ten times a second."""
+    """The largest resident memory of the process and its children while the block runs, sampled ten times a second."""
 
     def __enter__(self) -> PeakMemory:
         self._process = psutil.Process()
@@ -291,11 +291,18 @@ class PeakMemory:
 
     def _sample(self) -> None:
         while not self._stop.wait(0.1):
-            self.bytes = max(self.bytes, self._process.memory_info().rss)
+            self.bytes = max(self.bytes, sum(map(_resident, [self._process, *self._process.children()])))
 
     def __exit__(self, *exception: object) -> None:
         self._stop.set()
         self._thread.join()
+
+
+def _resident(process: psutil.Process) -> int:
+    try:
+        return int(process.memory_info().rss)
+    except psutil.NoSuchProcess:  # a child that has just ended
+        return 0
 
 
 def _digest(model: Path) -> str:
