@@ -23,6 +23,9 @@ _NOTHING_COST = 1.5  # for a face that no photo measured
 _STRANGE_COST = 3.0  # for a photo that shows there what was measured nowhere about it
 _OUTLIER = 24.0  # of 255: a photo whose colour for a face is this far from the others' median is doubted
 _OUTLIER_COST = 3.0  # of one that is twice that far, where 1 is the cost of a photo that is worth nothing
+_USELESS, _USELESS_COST = 0.1, 2.0  # below this share of the best quality a photo is avoided, whatever its surroundings
+_WELL = 1.0  # cost below which a photo may be blended in near a seam
+_MOST_TO_ABSORB = 1.5  # cost of a photo that a small patch may still take from its neighbours
 _EDGE = 0.5  # cost of an edge between two photos
 _TEMPERATURES = np.geomspace(0.6, 0.05, 12)
 _CLEAN_UP = 6
@@ -120,8 +123,9 @@ def exposure_gains(candidates: Candidates, views: int) -> np.ndarray:
 
 def choose_photos(
     candidates: Candidates, gains: np.ndarray, anchor: np.ndarray, trusted: np.ndarray, neighbours: np.ndarray
-) -> np.ndarray:
-    """The photo that textures each face, (M,) int16, UNSEEN where there is none.
+) -> tuple[np.ndarray, np.ndarray]:
+    """The photo that textures each face, (M,) int16, UNSEEN where there is none; and the photos that show it well and
+    as the others do, (M,K) int16.
 
     `anchor` (M,3) uint8 sRGB is what the fused cloud says of each face's colour; it votes as one more photo where
     `trusted` (M,). A face that is not `trusted` (no photo measured it) and looks like none of what was measured about
@@ -137,7 +141,8 @@ def choose_photos(
     view = np.column_stack([candidates.view, np.full(len(cost), _NOTHING, np.int16)])
     slot = _anneal(cost, neighbours, _shared_slots(view, neighbours))
     label = _absorb_small_patches(slot, cost, view, neighbours)
-    return np.maximum(label, UNSEEN)
+    usable = np.where(cost[:, :-1] < _WELL, candidates.view, np.int16(UNSEEN))
+    return np.maximum(label, UNSEEN), usable
 
 
 def _data_cost(
@@ -145,7 +150,8 @@ def _data_cost(
 ) -> np.ndarray:
     view, quality = candidates.view[block], candidates.quality[block]
     valid = quality > 0
-    poorer = 1 - quality / np.maximum(quality.max(axis=1, keepdims=True), 1e-30)
+    share = quality / np.maximum(quality.max(axis=1, keepdims=True), 1e-30)
+    poorer = 1 - share + np.float32(_USELESS_COST) * np.maximum(1 - share / _USELESS, 0)
     colour = candidates.colour[block] * gains[view].astype(np.float32)
     votes = np.concatenate([np.where(valid[..., None], colour, np.inf),
                             np.where(trusted[:, None, None], anchor[:, None].astype(np.float32), np.inf)], axis=1)
@@ -234,7 +240,7 @@ def _absorb_small_patches(
         match = (view[face][:, None, :] == offered[..., None]) & (offered != UNSEEN)[..., None]
         price = np.where(match, cost[face][:, None, :], np.inf).min(axis=2)
         best = price.argmin(axis=1)
-        moves = price[np.arange(len(face)), best] < _OUTLIER_COST
+        moves = price[np.arange(len(face)), best] < _MOST_TO_ABSORB
         if not moves.any():
             break
         label[face[moves]] = offered[np.arange(len(face)), best][moves]

@@ -310,7 +310,8 @@ def _pycolmap(call: str, kind: str, source: Path, target: Path, reporter: Report
     it works, and nobody could cancel. Raises RuntimeError with its last words when it fails."""
     arguments = [call, kind, str(source), str(target), json.dumps(settings)]
     words = source.with_suffix(".log")
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+    # Threads that wait must not spin: beside other work they would take the cores from those that have something to do.
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "OMP_WAIT_POLICY": "passive"}
     try:
         with words.open("wb") as log, subprocess.Popen(
             [sys.executable, "-c", _CHILD, *arguments], stdin=subprocess.DEVNULL, stdout=log, stderr=log,

@@ -11,6 +11,8 @@
 
 from __future__ import annotations
 
+import zipfile
+import zlib
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,21 +31,20 @@ from .messages import Reporter
 from .photo_sources import Source, find_sources
 from .seams import Nodes, cross_fade, diffuse, level
 from .types import Component
-from .visibility import in_camera, project, smooth_normals, triangle_areas, visible_faces
+from .visibility import Seen, in_camera, project, smooth_normals, triangle_areas, visible_faces
 
 PAGE_SIZES = (256, 8192)  # pixels a side: below, padding takes most of a page; above, graphics cards give up
 _RIM = 5 / 800  # of the longest side: nearer than this to the mesh's outline or the picture's edge a photo counts less
 _RIM_LEAST = 0.03
 _GRADIENT_FLOOR = 2.0  # of 255 a pixel: flat plaster is not blurred because it has no edges
+_CONFIDENT, _IN_FRONT = 0.3, 0.03  # a depth that counts, and how far before a face it must be, of its depth
+_BEHIND = 0.02  # of its quality is left to a photo that has something else in front of a face
 _SMALL_FACE = 64.0  # texels of area: larger faces are not cross-faded
 _PASSES = 3
 
 
 class TextureError(SurfaceError):
     """A mesh cannot be textured: it has no faces, no photo is left, or its texture fits no page."""
-
-    exit_code = 11
-    kind = "texture"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,6 +196,7 @@ def _choose(
         sharp = sample(gradient, seen.centre)
         rim = np.clip(seen.rim / (_RIM * size), _RIM_LEAST, 1)
         quality = (source.full.K[0, 0] / seen.depth * cosine) ** 2 * np.sqrt(sharp + _GRADIENT_FLOOR) * rim
+        quality[_behind_something(source, seen)] *= _BEHIND
         colour = sample(cv2.blur(picture, (window, window)), seen.centre)
         candidates.add(number, seen.face, quality.astype(np.float32), colour)
     if not (candidates.quality > 0).any():
@@ -204,8 +206,8 @@ def _choose(
         )
     gains = exposure_gains(candidates, len(sources))
     anchor = mesh.colours[mesh.faces].mean(axis=1).astype(np.uint8)
-    label = choose_photos(candidates, gains, anchor, ~mesh.filled, neighbours)
-    return _Chosen(label, candidates.view, gains if options.level else np.ones_like(gains))
+    label, usable = choose_photos(candidates, gains, anchor, ~mesh.filled, neighbours)
+    return _Chosen(label, usable, gains if options.level else np.ones_like(gains))
 
 
 def _picture(source: Source, reporter: Reporter) -> np.ndarray | None:
@@ -219,6 +221,25 @@ def _picture(source: Source, reporter: Reporter) -> np.ndarray | None:
         reporter.warning(f"{source.picture.name} has changed its size. It gives no texture.", source.view.name)
         return None
     return picture
+
+
+def _behind_something(source: Source, seen: Seen) -> np.ndarray:
+    """Whether each face seen (n,) lies behind what the photo's depth map has there: a branch or a passer-by that is
+    no part of the mesh. All False where the workspace has no depth map that fits."""
+    try:
+        with np.load(source.depth_map) as file:
+            depth, confidence = file["depth"], file["confidence"].astype(np.float32)
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
+        return np.zeros(len(seen.face), bool)
+    if depth.shape != (source.view.height, source.view.width):
+        return np.zeros(len(seen.face), bool)
+    # Without speckles, then widened: the photo at a face's corner counts as much as at its middle.
+    known = cv2.medianBlur(np.where(confidence >= _CONFIDENT, depth, 0).astype(np.float32), 5)
+    reach = max(7, 2 * round(max(depth.shape) / 200) + 1)
+    near = np.asarray(cv2.erode(np.where(known > 0, known, np.float32(np.inf)), np.ones((reach, reach), np.uint8)))
+    column, row = seen.centre.astype(np.int64).T
+    behind: np.ndarray = near[row, column] < (1 - _IN_FRONT) * seen.depth
+    return behind
 
 
 def _gradient(picture: np.ndarray) -> np.ndarray:
