@@ -5,8 +5,8 @@
 A chart is a connected patch of faces with one photo, laid out as that photo sees it. A texel then is a pixel of the
 photo (or a fixed number of them), so nothing is stretched or sampled twice, every part of the surface gets as many
 texels as the photos have of it, and a patch needs no cut inside. xatlas's own segmentation knows nothing of the
-photos: its charts cross patches and cut them, and its packing is what is
-used here. Faces that no photo shows are laid out along the axis that they face most, coarsely: they hold no detail.
+photos: its charts cross patches and cut them, and its packing is what is used here. Faces that no photo shows are
+laid out along the axis that they face most, coarsely: they hold no detail.
 """
 
 from __future__ import annotations
