@@ -28,6 +28,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from .allocator import release
 from .errors import SurfaceError
 from .files import disk_errors
 from .mesh import Mesh
@@ -310,6 +311,7 @@ def _pycolmap(call: str, kind: str, source: Path, target: Path, reporter: Report
     it works, and nobody could cancel. Raises RuntimeError with its last words when it fails."""
     arguments = [call, kind, str(source), str(target), json.dumps(settings)]
     words = source.with_suffix(".log")
+    release()  # that process will need it
     # Threads that wait must not spin: beside other work they would take the cores from those that have something to do.
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "OMP_WAIT_POLICY": "passive"}
     try:

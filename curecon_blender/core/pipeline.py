@@ -19,6 +19,7 @@ import numpy as np
 import psutil
 
 from . import components as components_file
+from .allocator import release
 from .errors import SparseError, SurfaceError, WorkspaceError
 from .files import scratch_folder, write_json
 from .mesh import Mesh, mesh_file, read_mesh, textured_folder, write_mesh
@@ -264,6 +265,7 @@ class _Job:
         key = self._key(stage, inputs)
         if not self.workspace.is_done(stage, key):
             self.workspace.reopen(stage)
+            release()
             with PeakMemory() as peak:
                 started = time.monotonic()
                 run()
