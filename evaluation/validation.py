@@ -5,11 +5,12 @@
     python -m training.generator --assets DIR --out SCENES --count 20 --start-seed 900000 --size 768x576 --held-out
     python -m evaluation.validation SCENES [--methods network plane-sweep patchmatch] [--references 2] [--json]
 
-Every method gets the same references, the same four sources by Algorithm 1, and the same depth range from the sparse
-points. The depth interval is that of BlendedMVS, 1/128 of the reference's true range (1st to 99th percentile).
-PatchMatch is that of the package pyarchinit-photogrammetry-core; it fills only where it is sure enough, so its errors
-are over fewer pixels: read them with its coverage. A second table counts only the pixels that at least two of the
-sources really see: the others can be guessed but not measured.
+Every method gets the same references, the same four sources by Algorithm 1, and the same depth range: from the sparse
+points, as in use, or with `--range true` the true one, as BlendedMVS hands it to a network. The depth interval is
+that of BlendedMVS, 1/128 of the reference's true range (1st to 99th percentile). PatchMatch is that of the package
+pyarchinit-photogrammetry-core; it fills only where it is sure enough, so its errors are over fewer pixels: read them
+with its coverage. A second table counts only the pixels that at least two of the sources really see: the others can be
+guessed but not measured.
 """
 
 from __future__ import annotations
@@ -56,8 +57,11 @@ class Result:
     seconds: float
 
 
-def views_of(scene: Scene, folder: Path, references: int, sources: int) -> list[tuple[View, int, list[View]]]:
-    """References of a scene (evenly taken, with their number) and the sources of each; pictures go to the folder."""
+def views_of(
+    scene: Scene, folder: Path, references: int, sources: int, sweep: str = "sparse"
+) -> list[tuple[View, int, list[View]]]:
+    """References of a scene (evenly taken, with their number) and the sources of each; pictures go to the folder.
+    `sweep`: the depth range is from the "sparse" points or the "true" one."""
     height, width = scene.depth.shape[1:]
     for i, picture in enumerate(scene.images):
         cv2.imwrite(str(folder / f"{i}.png"), picture[..., ::-1])
@@ -66,6 +70,9 @@ def views_of(scene: Scene, folder: Path, references: int, sources: int) -> list[
         scored = source_scores(scene, reference)[:sources]
         if len(scored) == sources:
             near, far = sparse_depth_range(scene, reference)
+            if sweep == "true":
+                true_range = depth_metrics.true_range(scene.depth[reference])
+                near, far = true_range.near, true_range.far
             chosen.append((reference, near, far, scored))
     step = max(1, len(chosen) // references)
 
@@ -132,7 +139,7 @@ def patchmatch_method(view: View, sources: list[View], folder: Path) -> Estimate
 
 
 def measure(
-    method: Callable[[View, list[View], Path], Estimate], scenes: list[Path], references: int, sources: int
+    method: Callable[[View, list[View], Path], Estimate], scenes: list[Path], references: int, sources: int, sweep: str
 ) -> Result:
     """Mean errors of a method over the references of all scenes."""
     errors, observed, seconds = [], [], []
@@ -140,7 +147,7 @@ def measure(
     for path in scenes:
         scene = load(path)
         with tempfile.TemporaryDirectory() as folder:
-            for view, reference, others in views_of(scene, Path(folder), references, sources):
+            for view, reference, others in views_of(scene, Path(folder), references, sources, sweep):
                 began = time.process_time()
                 depth, confidence = method(view, others, Path(folder))
                 seconds.append(time.process_time() - began)
@@ -167,6 +174,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--weights", type=Path, help="of the network (default: those that ship)")
     parser.add_argument("--references", type=int, default=2, help="a scene")
     parser.add_argument("--sources", type=int, default=4)
+    parser.add_argument("--range", choices=("sparse", "true"), default="sparse", help="that is swept")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args(arguments)
     scenes = sorted(args.scenes.glob("*.npz"))
@@ -175,7 +183,8 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     makers = {"network": lambda: network_method(args.weights), "plane-sweep": lambda: plane_sweep_method,
               "patchmatch": lambda: patchmatch_method}
-    results = {name: measure(makers[name](), scenes, args.references, args.sources) for name in args.methods}
+    results = {name: measure(makers[name](), scenes, args.references, args.sources, args.range)
+               for name in args.methods}
     if args.json:
         print(json.dumps({name: asdict(result) for name, result in results.items()}))
         return 0

@@ -18,7 +18,7 @@ from training.renderer import Renderer
 from training.scene import compose
 
 PREVIEW = (96, 72)  # pixels of the quick look at a rig
-MIN_POINTS, MAX_POINTS = 300, 3000
+MIN_POINTS, MAX_POINTS = 300, 5000
 # Far/near ratios that a scene may have, by rig; looking level, one sees far beyond the subject.
 MAX_RATIOS = {"orbit": (5, 8, 25), "nadir": (5, 8, 25), "facade": (8, 20, 50), "hand": (8, 20, 50)}
 FEWEST_VIEWS, MOST_VIEWS = 5, 11
@@ -130,17 +130,18 @@ def perturb(rng: np.random.Generator, rig: Rig, depth: np.ndarray, sigma: float)
 def sparse_points(
     rng: np.random.Generator, images: list[np.ndarray], depth: np.ndarray, rig: Rig
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points (P,3) and tracks (V,P) bool from corners of the pictures, as feature matching would leave them."""
+    """Points (P,3) and tracks (V,P) bool from SIFT features of the pictures, as matching them would leave them."""
     views, height, width = depth.shape
+    # The threshold of COLMAP, whose features also reach calm grounds: a depth range must cover those.
+    detector = cv2.SIFT.create(2 * MAX_POINTS, contrastThreshold=0.02)
     centres = rig.centres
     budget = int(rng.integers(MIN_POINTS * 2, MAX_POINTS))
     found, tracks = [], []
     for v, image in enumerate(images):
-        grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-        corners = cv2.goodFeaturesToTrack(grey, 3 * budget // views, 0.004, 4)
-        if corners is None:
+        features = detector.detect(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
+        if not features:
             continue
-        column, row = corners.reshape(-1, 2).astype(int).T
+        column, row = np.array([feature.pt for feature in features]).astype(int).T
         z = depth[v, row, column].astype(np.float64)
         pixels = np.column_stack([column, row])[z > 0] + 0.5
         points = back_project(rig.K[v], rig.cam_from_world[v], pixels, z[z > 0])

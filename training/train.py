@@ -137,12 +137,15 @@ def feed(pool: ScenePool, out: queue.Queue[list[Sample]], stop: threading.Event,
          seed: int) -> None:
     """Fill the queue with batches; each scene that is read gives several samples."""
     rng = np.random.default_rng(seed)
+    # The same in all processes that train together, or one would wait for another's larger sample.
+    common = np.random.default_rng(seed // options.processes)
     size = (options.width, options.height)
     batch: list[Sample] = []
+    sources = options.sources
     while not stop.is_set():
         scene = load(pool.pick(rng))
         for _ in range(options.samples_per_scene):
-            sample = training_sample(scene, rng, options.sources, size)
+            sample = training_sample(scene, rng, sources, size)
             if sample is None:
                 continue
             batch.append(sample)
@@ -154,6 +157,7 @@ def feed(pool: ScenePool, out: queue.Queue[list[Sample]], stop: threading.Event,
                     except queue.Full:
                         continue
                 batch = []
+                sources = int(common.integers(options.fewest_sources, options.sources + 1))
 
 
 def average_gradients(network: LCMMVSNet) -> None:
@@ -167,12 +171,16 @@ def average_gradients(network: LCMMVSNet) -> None:
 
 
 def step(
-    state: State, batch: dict[str, Tensor], horizon: int, bf16: bool, loss: Callable[..., Tensor] = total_loss
+    state: State, batch: dict[str, Tensor], horizon: int, bf16: bool, loss: Callable[..., Tensor] = total_loss,
+    fixed_statistics: bool = False,
 ) -> dict[str, float]:
-    """One optimiser step, with the other processes if there are any; returns the figures for the log."""
+    """One optimiser step, with the other processes if there are any; returns the figures for the log.
+
+    `fixed_statistics`: batch normalisation keeps its running statistics, as it will in use.
+    """
     for group in state.optimiser.param_groups:
         group["lr"] = learning_rate(state.samples, horizon)
-    state.network.train()
+    state.network.train(not fixed_statistics)
     depth, near, far = batch["depth"], batch["near"], batch["far"]
     t = t_from_depth(depth.clamp_min(1e-3), near, far)
     valid = (depth > 0) & (t >= 0) & (t < 1)
@@ -236,7 +244,8 @@ def train(rank: int, options: argparse.Namespace, rendezvous: str) -> None:
                     if not feeder.is_alive():
                         raise RuntimeError("the thread that reads scenes has ended; its error is above") from None
             batch = batch_tensors(samples, device)
-            for name, value in step(state, batch, options.horizon, bf16=device.type in ("cpu", "cuda")).items():
+            for name, value in step(state, batch, options.horizon, device.type in ("cpu", "cuda"),
+                                    fixed_statistics=options.fixed_statistics).items():
                 sums[name] = sums.get(name, 0.0) + value
             count += 1
             if rank == 0 and count == 50:
@@ -265,7 +274,8 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=9.0)
     parser.add_argument("--horizon", type=int, default=20000, help="samples at which the learning rate has come down")
     parser.add_argument("--batch", type=int, default=1)
-    parser.add_argument("--sources", type=int, default=3)
+    parser.add_argument("--fewest-sources", type=int, default=2)
+    parser.add_argument("--sources", type=int, default=5, help="of a batch, at most; drawn anew for each")
     parser.add_argument("--width", type=int, default=256)
     parser.add_argument("--height", type=int, default=192)
     parser.add_argument("--samples-per-scene", type=int, default=3)
@@ -275,6 +285,8 @@ def main() -> None:
     parser.add_argument("--config", type=json.loads, default={}, metavar="JSON",
                         help="fields of NetworkConfig for a new run, to compare with")
     parser.add_argument("--restart", action="store_true", help="begin the schedule anew from the averaged weights")
+    parser.add_argument("--fixed-statistics", action="store_true",
+                        help="keep batch normalisation's statistics: for going on from good weights")
     parser.add_argument("--processes", type=int, default=1, help="how many train together, on a CPU's cores")
     parser.add_argument("--device", default="auto")
     options = parser.parse_args()

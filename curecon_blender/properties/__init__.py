@@ -10,7 +10,6 @@ from __future__ import annotations
 import bpy
 from bpy.props import (
     BoolProperty,
-    CollectionProperty,
     EnumProperty,
     FloatProperty,
     IntProperty,
@@ -18,9 +17,12 @@ from bpy.props import (
     StringProperty,
 )
 
-from .core.options import PRESETS
-from .scene import cameras, surface, viewport
-from .scene.workspace import clouds_of, hide
+from ..core.options import PRESETS
+from ..scene import cameras, surface, viewport
+from ..scene.workspace import clouds_of, hide
+from . import photos, result
+from .photos import CURECON_PG_check
+from .result import CURECON_PG_result
 
 
 def _quality_item(name: str, use: str) -> tuple[str, str, str]:
@@ -54,49 +56,6 @@ LIGHTS = (
     ("SCENE", "Scene", "A matte surface in the light of the scene's lamps and sky, on top of the photos' own shadows"),
 )
 LICENCES = ("All rights reserved", "CC BY 4.0", "CC BY-NC 4.0", "CC BY-SA 4.0", "CC0 1.0")
-
-
-class CURECON_PG_skipped(bpy.types.PropertyGroup):
-    """A file that the photo check left out. `name` is the file's."""
-
-    reason: StringProperty()
-
-
-class CURECON_PG_cost(bpy.types.PropertyGroup):
-    """What a quality would cost on this computer, roughly. `name` is the quality."""
-
-    seconds: FloatProperty()
-    memory_gib: FloatProperty()
-    disk_gib: FloatProperty()
-
-
-class CURECON_PG_check(bpy.types.PropertyGroup):
-    """What the photo check said about the folder `folder`."""
-
-    folder: StringProperty()
-    photos: IntProperty()
-    cameras: IntProperty()
-    gps: IntProperty()
-    blurred: StringProperty(description="Names of the blurred photos")
-    blurred_count: IntProperty()
-    gsd_mm: FloatProperty(description="Ground sampling distance in millimetres, 0 when unknown")
-    skipped: CollectionProperty(type=CURECON_PG_skipped)
-    costs: CollectionProperty(type=CURECON_PG_cost)
-
-
-class CURECON_PG_result(bpy.types.PropertyGroup):
-    """What the last import brought into the scene."""
-
-    workspace: StringProperty(subtype="DIR_PATH")
-    points: IntProperty()
-    cameras: IntProperty()
-    photos: IntProperty(description="Photos that were given; 0 when unknown")
-    parts: IntProperty()
-    faces: IntProperty(description="Faces of the surface; 0 when there is none")
-    textured: BoolProperty(description="The surface is painted with the photos")
-    filled: FloatProperty(description="Per cent of the surface's area that no photo measured, 0 to 100")
-    scale: StringProperty()
-    note: StringProperty()
 
 
 def _redraw(properties: CURECON_PG_scene, context: bpy.types.Context) -> None:
@@ -226,7 +185,7 @@ class CURECON_PG_scene(bpy.types.PropertyGroup):
     result: PointerProperty(type=CURECON_PG_result)
 
 
-CLASSES = (CURECON_PG_skipped, CURECON_PG_cost, CURECON_PG_check, CURECON_PG_result, CURECON_PG_scene)
+CLASSES = (*photos.CLASSES, *result.CLASSES, CURECON_PG_scene)
 
 
 def attach() -> None:

@@ -1,0 +1,9 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The sidebar tab CU-Recon of the 3D viewport, one file a step."""
+
+from __future__ import annotations
+
+from . import photos, reconstruct, result, surface
+
+CLASSES = (*photos.CLASSES, *reconstruct.CLASSES, *result.CLASSES, *surface.CLASSES)

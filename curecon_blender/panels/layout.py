@@ -1,0 +1,100 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the panels have in common: where they stand, words that wrap, and how a job is going."""
+
+from __future__ import annotations
+
+import blf
+import bpy
+
+from ..job import Status, duration
+from ..operators import running
+from ..operators.running import STAGE_NAMES
+
+
+class Panel:
+    """A part of the tab."""
+
+    layout: bpy.types.UILayout  # Blender's own, at drawing
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "CU-Recon"
+
+
+class AdvancedPanel(Panel):
+    """Settings that most users never need: folded away, and locked while a job runs."""
+
+    bl_label = "Advanced"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        self.layout.enabled = not running.status.running
+        self.layout.use_property_split = True
+        self.layout.use_property_decorate = False
+        self.draw_settings(context, context.scene.curecon)
+
+    def draw_settings(self, context: bpy.types.Context, properties: bpy.types.PropertyGroup) -> None:
+        raise NotImplementedError
+
+
+def wrap(text: str, context: bpy.types.Context, indent: int = 0) -> list[str]:
+    """`text` in lines that fit the sidebar; `indent` is taken off its width, in pixels at scale 1."""
+    preferences = context.preferences
+    scale = preferences.system.ui_scale
+    blf.size(0, preferences.ui_styles[0].widget.points * scale)
+    width = context.region.width - (76 + indent) * scale
+    lines: list[str] = []
+    for word in text.split():
+        longer = f"{lines[-1]} {word}" if lines else word
+        if lines and blf.dimensions(0, longer)[0] <= width:
+            lines[-1] = longer
+        else:
+            lines.append(word)
+    return lines
+
+
+def paragraph(
+    layout: bpy.types.UILayout, context: bpy.types.Context, text: str, *, icon: str = "NONE", alert: bool = False
+) -> None:
+    column = layout.column(align=True)
+    column.alert = alert
+    column.scale_y = 0.8
+    for index, words in enumerate(wrap(text, context, indent=28 if icon != "NONE" else 0)):
+        column.label(text=words, icon=(icon if index == 0 else "BLANK1") if icon != "NONE" else "NONE")
+
+
+def counted(count: int, noun: str) -> str:
+    return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
+
+
+def gibibytes(amount: float) -> str:
+    return f"{amount:.1f} GiB" if amount >= 1 else f"{max(amount * 1024, 1):.0f} MiB"
+
+
+def draw_outcome(layout: bpy.types.UILayout, context: bpy.types.Context, status: Status) -> None:
+    """The last job's warnings, and how it failed if it did."""
+    if status.warning_count:
+        box = layout.box()
+        for text in status.warnings:
+            paragraph(box, context, text, icon="ERROR")
+        if status.warning_count > len(status.warnings):
+            box.label(text=f"and {status.warning_count - len(status.warnings)} earlier warnings")
+    if status.failure is not None:
+        box = layout.box()
+        cancelled = status.failure.kind == "cancelled"
+        paragraph(box, context, status.failure.message, icon="INFO" if cancelled else "CANCEL", alert=not cancelled)
+        paragraph(box, context, status.failure.remedy)
+
+
+def draw_progress(layout: bpy.types.UILayout, status: Status) -> None:
+    column = layout.column(align=True)
+    left = status.seconds_left
+    overall = f"{status.overall:.0%}" + (f", {duration(left)} left" if left is not None else "")
+    column.progress(factor=status.overall, text="Cancelling..." if status.cancelling else overall)
+    column.separator()
+    for stage in status.stages:
+        name = STAGE_NAMES.get(stage.stage, stage.stage)
+        column.progress(factor=stage.fraction, text=f"{name}  {stage.done}/{stage.total}" if stage.total else name)
+    if not status.stages:
+        column.label(text=f"{status.task}...")
+    layout.operator("curecon.cancel", icon="X")

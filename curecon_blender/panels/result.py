@@ -1,0 +1,56 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Third step: what stands in the scene, and how it is shown."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..scene import cameras
+from ..scene.surface import surfaces_of
+from ..scene.workspace import clouds_of
+from .layout import Panel, counted, paragraph
+
+
+class CURECON_PT_result(Panel, bpy.types.Panel):
+    bl_idname = "CURECON_PT_result"
+    bl_label = "Result"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, properties = self.layout, context.scene.curecon
+        result, clouds = properties.result, clouds_of(context.scene)
+        if not result.workspace:
+            paragraph(layout, context, "Nothing yet. Reconstruct photos, or import a workspace.")
+            layout.operator("curecon.import_workspace", icon="IMPORT")
+            return
+        box = layout.box()
+        column = box.column(align=True)
+        column.label(text=counted(sum(len(cloud.data.points) for cloud in clouds), "point"), icon="POINTCLOUD_DATA")
+        placed = f"{result.cameras} of {result.photos} photos placed" if result.photos else (
+            f"{counted(result.cameras, 'photo')} placed")
+        column.label(text=placed, icon="CAMERA_DATA")
+        if result.parts > 1:
+            column.label(text=f"In {result.parts} parts that do not connect", icon="ERROR")
+        if result.scale == "metres":
+            column.label(text="True scale: 1 unit is 1 metre", icon="DRIVER_DISTANCE")
+        else:
+            column.label(text="Scale unknown: do not measure", icon="ERROR")
+        if result.note:
+            paragraph(box, context, result.note)
+        if clouds and properties.show_cloud:
+            column = layout.column(align=True)
+            column.prop(properties, "display_fraction", slider=True)
+            column.prop(properties, "point_size", slider=True)
+        if clouds or surfaces_of(context.scene):
+            layout.operator("curecon.frame_cloud", icon="VIEWZOOM")
+        row = layout.row(align=True)
+        if clouds:
+            row.prop(properties, "show_cloud", toggle=True, icon="POINTCLOUD_DATA")
+        row.prop(properties, "show_cameras", toggle=True, icon="CAMERA_DATA")
+        row = layout.row()
+        sub = row.row(align=True)
+        sub.enabled = cameras.is_photo_camera(context.active_object)
+        sub.operator("curecon.look_through", text="Look Through")
+
+
+CLASSES = (CURECON_PT_result,)
