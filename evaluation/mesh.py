@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from curecon_blender.core.errors import CuReconError
-from curecon_blender.core.mesh import Mesh, read_mesh
+from curecon_blender.core.mesh import Mesh, filled_share, read_mesh
 
 from . import cloud_metrics
 from .alignment import align_cameras, read_centres
@@ -57,29 +57,21 @@ def report(mesh_file: Path, workspace: Path, site: Path, radius: float | None = 
     points = to_truth.apply(points)
     inside = np.hypot(points[:, 0], points[:, 1]) < radius
     filled = mesh.filled[face]
-    area = areas(mesh)
 
     def errors(which: np.ndarray) -> CloudErrors:
         return cloud_metrics.cloud_errors(cloud_metrics.thin(points[which], VOXEL), truth, THRESHOLDS, MAX_DISTANCE)
 
     return MeshReport(
         mesh=str(mesh_file), faces=len(mesh.faces), filled=100 * float(filled[inside].mean()) if inside.any() else 0.0,
-        filled_everywhere=100 * float(area[mesh.filled].sum() / area.sum()),
+        filled_everywhere=100 * filled_share([mesh]),
         surface=errors(inside), measured=errors(inside & ~filled),
     )
-
-
-def areas(mesh: Mesh) -> np.ndarray:
-    """Area (m,) float64 of each face, in square world units."""
-    corners = mesh.vertices[mesh.faces].astype(np.float64)
-    cross: np.ndarray = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return np.linalg.norm(cross, axis=1) / 2
 
 
 def sample(mesh: Mesh, spacing: float) -> tuple[np.ndarray, np.ndarray]:
     """Points (n,3) float64 drawn evenly from the surface, one a square of side `spacing`, and the face of each (n,)."""
     random = np.random.default_rng(0)
-    area = areas(mesh)
+    area = mesh.areas
     ends = np.cumsum(area)
     count = int(np.ceil(ends[-1] / spacing**2))
     face = np.searchsorted(ends, (np.arange(count) + random.random(count)) * ends[-1] / count)

@@ -26,13 +26,13 @@ import numpy as np
 from skimage.metrics import structural_similarity
 
 from curecon_blender.core import components, images
-from curecon_blender.core.baking import sample
 from curecon_blender.core.errors import CuReconError
-from curecon_blender.core.mesh import Mesh, mesh_file, read_mesh
+from curecon_blender.core.mesh import Mesh, mesh_file, read_mesh, triangle_areas
 from curecon_blender.core.messages import Reporter
+from curecon_blender.core.sampling import sample
 from curecon_blender.core.texturing import TextureOptions, texture_mesh
+from curecon_blender.core.texturing.visibility import in_camera, project, scan_convert
 from curecon_blender.core.types import Component, View
-from curecon_blender.core.visibility import in_camera, project, scan_convert, triangle_areas
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +82,7 @@ def render(mesh: Mesh, pages: list[np.ndarray], view: View) -> tuple[np.ndarray,
             here = at[(mesh.page[shown[at]] == number) & (levels[shown[at]] == level)]
             side = max(1, page.shape[0] >> int(level))
             small = page if level == 0 else cv2.resize(page, (side, side), interpolation=cv2.INTER_AREA)
-            picture[here] = sample(small, np.stack([uv[here, 0], 1 - uv[here, 1]], axis=1) * side)
+            picture[here] = sample(small, uv[here, 0] * side, (1 - uv[here, 1]) * side)
     return picture.reshape(view.height, view.width, 3), shown.reshape(view.height, view.width)
 
 

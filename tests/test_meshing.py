@@ -17,7 +17,7 @@ from curecon_blender.core.mesh import Mesh
 from curecon_blender.core.meshing import MeshError, MeshOptions, build_mesh
 from curecon_blender.core.messages import Progress, Reporter
 from curecon_blender.core.ply import Cloud
-from evaluation.mesh import areas, sample
+from evaluation.mesh import sample
 
 SPACING = 0.03  # metres
 HOLE = np.array([0.3, -0.2, 1.5])  # in the roof
@@ -65,7 +65,7 @@ def build(cloud: Cloud, folder: Path, reporter: Reporter | None = None, **option
 def check_sound(mesh: Mesh) -> None:
     assert np.isfinite(mesh.vertices).all() and np.isfinite(mesh.distance).all()
     assert np.array_equal(np.unique(mesh.faces), np.arange(len(mesh.vertices)))
-    assert areas(mesh).min() > 0
+    assert mesh.areas.min() > 0
     ends = mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     assert np.unique(np.sort(ends, axis=1), axis=0, return_counts=True)[1].max() <= 2
     assert np.unique(ends, axis=0, return_counts=True)[1].max() == 1  # neighbours turn the same way round
@@ -168,7 +168,7 @@ def test_a_plane_gives_a_plane(tmp_path: Path) -> None:
     mesh = build(cloud_of(points, normals), tmp_path)
     check_sound(mesh)
     assert np.abs(mesh.vertices[:, 2]).max() < SPACING
-    assert areas(mesh).sum() == pytest.approx(16, rel=0.1)
+    assert mesh.areas.sum() == pytest.approx(16, rel=0.1)
 
 
 def test_damaged_points_are_left_out_with_a_word(tmp_path: Path) -> None:

@@ -120,6 +120,29 @@ def _hand_held(
     return centres, target + rng.normal(0, 0.04 * distance, (views, 3))
 
 
+def _flight(rng: np.random.Generator, subject: Subject, half_fov: float) -> tuple[np.ndarray, np.ndarray]:
+    """A whole mission as manuals advise it: two full orbits at different heights and a nadir grid above."""
+    size = max(subject.radius, 0.5 * subject.height, 3.0)
+    distance = size / np.tan(half_fov) * rng.uniform(0.7, 1.0) + 0.5 * size
+    middle = subject.centre + np.array([0, 0, 0.4 * subject.height])
+    centres, targets = [], []
+    for elevation in np.radians([rng.uniform(18, 35), rng.uniform(40, 60)]):
+        photos = int(rng.integers(20, 31))
+        azimuth = rng.uniform(0, 2 * np.pi) + np.arange(photos) * 2 * np.pi / photos + rng.normal(0, 0.02, photos)
+        tilt = elevation + rng.normal(0, 0.01, photos)
+        direction = np.stack([np.cos(azimuth) * np.cos(tilt), np.sin(azimuth) * np.cos(tilt), np.sin(tilt)], axis=1)
+        centres.append(middle + distance * direction)
+        targets.append(middle + rng.normal(0, 0.03 * distance, (photos, 3)))
+    height = subject.height + distance * 0.8
+    step = 0.45 * height * np.tan(half_fov)  # about 75 % of the shorter side overlaps
+    grid = np.stack(np.meshgrid(*[step * np.arange(-1, 2)] * 2), axis=-1).reshape(-1, 2)
+    grid = grid + rng.normal(0, 0.05 * step, grid.shape)
+    above = np.column_stack([subject.centre[:2] + grid, np.full(len(grid), subject.centre[2] + height)])
+    centres.append(above)
+    targets.append(above + np.array([0.01, 0, -1]) * height + rng.normal(0, 0.02 * height, above.shape))
+    return np.concatenate(centres), np.concatenate(targets)
+
+
 _RIGS = {"orbit": (_orbit, 0.40), "nadir": (_nadir, 0.22), "facade": (_facade, 0.18), "hand": (_hand_held, 0.20)}
 
 
@@ -131,12 +154,30 @@ def draw_kind(rng: np.random.Generator) -> str:
 
 def draw_rig(rng: np.random.Generator, kind: str, world: World, views: int, size: tuple[int, int]) -> Rig:
     """A random rig of a kind for `views` pictures of `size` (W, H) pixels; the caller checks what it sees."""
-    width, height = size
-    fov = np.radians(rng.uniform(38, 84))
-    focal = width / 2 / np.tan(fov / 2)
+    focal, half_fov = _draw_lens(rng, size)
     subject = world.subject if rng.random() < 0.7 else world.site
-    half_fov = float(np.arctan(min(width, height) / 2 / focal))
-    centres, targets = _RIGS[kind][0](rng, subject, views, half_fov)
+    return _build(rng, kind, world, focal, size, *_RIGS[kind][0](rng, subject, views, half_fov))
+
+
+def draw_flight(rng: np.random.Generator, world: World, size: tuple[int, int]) -> Rig:
+    """A random whole flight about the world's subject; the caller leaves out the photos that see nothing."""
+    focal, half_fov = _draw_lens(rng, size)
+    return _build(rng, "flight", world, focal, size, *_flight(rng, world.subject, half_fov))
+
+
+def _draw_lens(rng: np.random.Generator, size: tuple[int, int]) -> tuple[float, float]:
+    """Focal length in pixels, and half of the field of view over the shorter side in radians."""
+    focal = size[0] / 2 / np.tan(np.radians(rng.uniform(38, 84)) / 2)
+    return float(focal), float(np.arctan(min(size) / 2 / focal))
+
+
+def _build(
+    rng: np.random.Generator, kind: str, world: World, focal: float, size: tuple[int, int], centres: np.ndarray,
+    targets: np.ndarray,
+) -> Rig:
+    """Cameras (V) at centres (V,3) above the ground that look at targets (V,3), none quite like the other."""
+    width, height = size
+    views = len(centres)
     floor = world.terrain.height(centres[:, :2]) + CLEARANCE
     lift = np.maximum(floor - centres[:, 2], 0)
     centres[:, 2] += lift

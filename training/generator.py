@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from training.assets import Assets
-from training.cameras import Rig, draw_kind, draw_rig
+from training.cameras import Rig, draw_flight, draw_kind, draw_rig
 from training.renderer import Renderer
 from training.scene import compose
 
@@ -22,6 +22,7 @@ MIN_POINTS, MAX_POINTS = 300, 5000
 # Far/near ratios that a scene may have, by rig; looking level, one sees far beyond the subject.
 MAX_RATIOS = {"orbit": (5, 8, 25), "nadir": (5, 8, 25), "facade": (8, 20, 50), "hand": (8, 20, 50)}
 FEWEST_VIEWS, MOST_VIEWS = 5, 11
+FEWEST_IN_FLIGHT = 30
 TRIES = 10  # rigs drawn for one world before another world is drawn
 
 
@@ -91,14 +92,29 @@ class Generator:
                 if scene is not None:
                     return scene
 
+    def fly(self, seed: int, size: tuple[int, int], held_out: bool = False) -> Scene:
+        """A scene that a whole flight has taken: each photo has neighbours to choose its sources from."""
+        rng = np.random.default_rng([seed, int(held_out), 1])
+        while True:
+            world = compose(self.assets, rng, held_out)
+            self.renderer.upload(world)
+            rig = draw_flight(rng, world, size)
+            good = np.array([self._looks_well(rig, v, size, max(MAX_RATIOS["orbit"])) for v in range(len(rig.K))])
+            good &= ~np.array([world.inside(centre[None]) for centre in rig.centres])
+            if good.sum() >= FEWEST_IN_FLIGHT:
+                scene = self._shoot(rng, Rig(rig.kind, rig.K[good], rig.cam_from_world[good]), size, pose_noise=True)
+                if scene is not None:
+                    return scene
+
     def _preview(self, rig: Rig, size: tuple[int, int], max_ratio: float) -> bool:
-        scale = np.diag([PREVIEW[0] / size[0], PREVIEW[1] / size[1], 1])
         views = len(rig.K)
         order = sorted(range(views), key=lambda v: -abs(v - views // 2))  # the ends go wrong most often
-        return all(
-            _sees_enough(self.renderer.render_depth(scale @ rig.K[v], rig.cam_from_world[v], PREVIEW), max_ratio)
-            for v in order
-        )
+        return all(self._looks_well(rig, v, size, max_ratio) for v in order)
+
+    def _looks_well(self, rig: Rig, view: int, size: tuple[int, int], max_ratio: float) -> bool:
+        scale = np.diag([PREVIEW[0] / size[0], PREVIEW[1] / size[1], 1])
+        depth = self.renderer.render_depth(scale @ rig.K[view], rig.cam_from_world[view], PREVIEW)
+        return _sees_enough(depth, max_ratio)
 
     def _shoot(self, rng: np.random.Generator, rig: Rig, size: tuple[int, int], pose_noise: bool) -> Scene | None:
         """Full pictures of a rig; None when a sparse model of them would be too thin."""
@@ -135,7 +151,7 @@ def sparse_points(
     # The threshold of COLMAP, whose features also reach calm grounds: a depth range must cover those.
     detector = cv2.SIFT.create(2 * MAX_POINTS, contrastThreshold=0.02)
     centres = rig.centres
-    budget = int(rng.integers(MIN_POINTS * 2, MAX_POINTS))
+    budget = int(rng.integers(MIN_POINTS * 2, MAX_POINTS)) * max(1, views // MOST_VIEWS)
     found, tracks = [], []
     for v, image in enumerate(images):
         features = detector.detect(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
@@ -272,6 +288,7 @@ def main() -> None:
     parser.add_argument("--start-seed", type=int, default=0)
     parser.add_argument("--size", default="512x384", help="WIDTHxHEIGHT in pixels")
     parser.add_argument("--views", type=int, help=f"photos a scene (default: drawn, {FEWEST_VIEWS} to {MOST_VIEWS})")
+    parser.add_argument("--flight", action="store_true", help="whole flights of 30 to 70 photos; --views is not used")
     parser.add_argument("--held-out", action="store_true", help="use only the buildings kept for evaluation")
     options = parser.parse_args()
     width, height = (int(n) for n in options.size.split("x"))
@@ -283,7 +300,10 @@ def main() -> None:
         path = options.out / f"{seed}.npz"
         if path.exists():
             continue
-        scene = generator.generate(seed, (width, height), options.views, options.held_out)
+        if options.flight:
+            scene = generator.fly(seed, (width, height), options.held_out)
+        else:
+            scene = generator.generate(seed, (width, height), options.views, options.held_out)
         save(scene, path)
         made, images = made + 1, images + len(scene.images)
         seconds = time.perf_counter() - began

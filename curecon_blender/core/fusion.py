@@ -34,12 +34,12 @@ from .files import disk_errors, scratch_folder
 from .messages import Reporter
 from .options import Options
 from .ply import Cloud, CloudWriter
+from .sampling import ROW, sample
 from .sky import sky_mask
 from .types import Component, View
 
 CACHE_BYTES = 512 << 20
-_ROW = 1024  # cv2.remap takes no array longer than 32767 a side: pixel lists are folded into rows of this length
-_BLOCK = 256 * _ROW  # pixels worked on at once: small enough for the processor's cache
+_BLOCK = 256 * ROW  # pixels worked on at once: small enough for the processor's cache
 _SPARSE = 64  # one pixel in so many tells whether two pictures have anything in common
 _LEAST_WEIGHT = 1e-6  # confidence 0 still counts as a view, and must not divide by zero
 _DUPLICATE = 2.0  # times the confirming limits: a point nearer than this to an accepted one is the same point, noisier
@@ -199,9 +199,9 @@ def _confirm(
         )
         agrees = error < 1
         which, u, v = block.start + seen[agrees], u[agrees], v[agrees]
-        weight = np.maximum(_sample(depth_map.confidence, u, v, cv2.INTER_NEAREST), _LEAST_WEIGHT)
+        weight = np.maximum(sample(depth_map.confidence, u, v, cv2.INTER_NEAREST), _LEAST_WEIGHT)
         sums.points[:, which] += points[:, agrees] * weight
-        sums.colours[:, which] += _sample(depth_map.colours, u, v, cv2.INTER_LINEAR).T * weight
+        sums.colours[:, which] += sample(depth_map.colours, u, v, cv2.INTER_LINEAR).T * weight
         sums.weight[which] += weight
         sums.views[which] += 1
 
@@ -258,22 +258,10 @@ def _transfer(view: View, other: View) -> tuple[np.ndarray, np.ndarray]:
     return matrix.astype(np.float32), (other.K @ translation).astype(np.float32)
 
 
-def _sample(image: np.ndarray, u: np.ndarray, v: np.ndarray, interpolation: int) -> np.ndarray:
-    """Values (n,) or (n,C) of `image` (H,W) or (H,W,C) at pixel positions (n,), pixel centres at .5."""
-    rows = -(-len(u) // _ROW)
-    if rows == 0:
-        return np.empty((0, *image.shape[2:]), image.dtype)
-    maps = np.zeros((2, rows * _ROW), np.float32)
-    maps[0, : len(u)], maps[1, : len(u)] = u - 0.5, v - 0.5
-    map_u, map_v = maps.reshape(2, rows, _ROW)
-    sampled = np.asarray(cv2.remap(image, map_u, map_v, interpolation, borderMode=cv2.BORDER_REPLICATE))
-    return sampled.reshape(-1, *image.shape[2:])[: len(u)]
-
-
 def _sample_inverse_depth(image: np.ndarray, u: np.ndarray, v: np.ndarray, max_difference: float) -> np.ndarray:
     """Bilinear on a surface; the nearest pixel's at its rim (NaN next door) and where depth jumps between pixels."""
-    nearest = _sample(image, u, v, cv2.INTER_NEAREST)
-    bilinear = _sample(image, u, v, cv2.INTER_LINEAR)
+    nearest = sample(image, u, v, cv2.INTER_NEAREST)
+    bilinear = sample(image, u, v, cv2.INTER_LINEAR)
     smooth = np.abs(bilinear - nearest) < 0.5 * max_difference * nearest
     return np.where(smooth, bilinear, nearest)
 

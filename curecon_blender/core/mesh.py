@@ -8,6 +8,7 @@ TextureFile), so that other programs open it as it is.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -54,6 +55,32 @@ class Mesh:
     def with_texture(self, uv: np.ndarray, page: np.ndarray, pages: tuple[str, ...]) -> Mesh:
         """The same surface with UVs, page numbers and the pages' files."""
         return replace(self, uv=uv, page=page, pages=pages)
+
+
+    @property
+    def areas(self) -> np.ndarray:
+        """Areas (M,) of the faces in square world units."""
+        return triangle_areas(self.vertices[self.faces])
+
+
+def filled_share(meshes: Iterable[Mesh]) -> float:
+    """The share, 0 to 1, of the meshes' area together that no photo measured."""
+    filled = total = 0.0
+    for mesh in meshes:
+        areas = mesh.areas
+        filled, total = filled + float(areas[mesh.filled].sum()), total + float(areas.sum())
+    return filled / max(total, 1e-12)
+
+
+def triangle_areas(corners: np.ndarray) -> np.ndarray:
+    """Areas (M,) of triangles in space (M,3,3) or on a plane (M,3,2)."""
+    ab, ac = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    if corners.shape[2] == 2:
+        twice = np.abs(ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0])
+    else:
+        twice = np.linalg.norm(np.cross(ab, ac), axis=1)
+    areas: np.ndarray = twice / 2
+    return areas
 
 
 def mesh_file(index: int) -> str:

@@ -31,7 +31,7 @@ from scipy.spatial import cKDTree
 from .allocator import release
 from .errors import SurfaceError
 from .files import disk_errors
-from .mesh import Mesh
+from .mesh import Mesh, triangle_areas
 from .messages import Reporter
 from .ply import Cloud, CloudWriter
 
@@ -262,7 +262,7 @@ class _Support:
         do not tell: it is probed at places spread over it, as many as support radii fit into it.
         """
         corners = vertices[faces]
-        area = _areas(corners)
+        area = triangle_areas(corners)
         reach = float(np.median(self.radius))
         probes = np.clip(np.ceil(area / reach**2), 1, 256).astype(np.int64)
         face = np.repeat(np.arange(len(faces)), probes)
@@ -381,7 +381,8 @@ def _large_parts(
         return faces
     part = _components(faces[:, [0, 1, 1, 2]].reshape(-1, 2), len(vertices))[faces[:, 0]]
     measured = supported[faces].all(axis=1)
-    points = np.bincount(part, weights=measured * _areas(vertices[faces]) / local_spacing[faces].mean(axis=1) ** 2)
+    squares = triangle_areas(vertices[faces]) / local_spacing[faces].mean(axis=1) ** 2
+    points = np.bincount(part, weights=measured * squares)
     large: np.ndarray = faces[points[part] >= _SMALLEST_PART]
     return large
 
@@ -393,7 +394,7 @@ def _clean(vertices: np.ndarray, faces: np.ndarray, spacing: float) -> tuple[np.
     if short.any():
         merged = _components(edges[short], len(vertices))
         vertices, faces = vertices[np.unique(merged, return_index=True)[1]], merged[faces]
-    faces = faces[_areas(vertices[faces]) > (_SHORTEST_EDGE * spacing) ** 2]
+    faces = faces[triangle_areas(vertices[faces]) > (_SHORTEST_EDGE * spacing) ** 2]
     faces = faces[np.unique(np.sort(faces, axis=1), axis=0, return_index=True)[1]]
     while len(faces):
         _, edge, count = _edges(faces)
@@ -401,7 +402,7 @@ def _clean(vertices: np.ndarray, faces: np.ndarray, spacing: float) -> tuple[np.
         if not crowded.any():
             break
         # The smaller half of what meets there goes: the fins of a fold, seldom the surface.
-        area = _areas(vertices[faces])
+        area = triangle_areas(vertices[faces])
         faces = faces[~crowded | (area > np.median(area[crowded]))]
     used, index = np.unique(faces, return_inverse=True)
     return np.ascontiguousarray(vertices[used], np.float32), index.reshape(-1, 3).astype(np.int32)
@@ -414,13 +415,6 @@ def _outward(vertices: np.ndarray, faces: np.ndarray, support: _Support) -> np.n
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     agree = np.einsum("nc,nc->n", normals, support.cloud.normals[support.nearest(corners.mean(axis=1))[1]])
     return faces if agree.sum() >= 0 else faces[:, ::-1].copy()
-
-
-def _areas(corners: np.ndarray) -> np.ndarray:
-    """Areas (m,) of triangles (m,3,3)."""
-    areas: np.ndarray = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]),
-                                       axis=1) / 2
-    return areas
 
 
 def _edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

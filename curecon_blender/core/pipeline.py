@@ -15,14 +15,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import psutil
 
 from . import components as components_file
 from .allocator import release
 from .errors import SparseError, SurfaceError, WorkspaceError
 from .files import scratch_folder, write_json
-from .mesh import Mesh, mesh_file, read_mesh, textured_folder, write_mesh
+from .mesh import filled_share, mesh_file, read_mesh, textured_folder, write_mesh
 from .messages import Reporter
 from .options import PRESETS, STAGES, SURFACE_STAGES, Options
 from .types import Component, GeoPosition, Gimbal, Photo, PhotoSet, SkippedPhoto
@@ -327,13 +326,7 @@ def _described(root: Path, index: int) -> dict[str, Any]:
     textured = root / textured_folder(index) / "mesh.ply"
     mesh = read_mesh(textured if textured.exists() else root / mesh_file(index))
     return {"index": index, "faces": len(mesh.faces), "vertices": len(mesh.vertices),
-            "filled_share": round(_filled_share(mesh), 4), "textured": textured.exists()}
-
-
-def _filled_share(mesh: Mesh) -> float:
-    corners = mesh.vertices[mesh.faces]
-    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    return float(areas[mesh.filled].sum() / max(areas.sum(), 1e-12))
+            "filled_share": round(filled_share([mesh]), 4), "textured": textured.exists()}
 
 
 def _registered(sparse: Path) -> list[int]:

@@ -116,13 +116,6 @@ def surfaces_of(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     return sorted(found, key=lambda item: -len(item.data.polygons))
 
 
-def areas(mesh: Mesh) -> tuple[float, float]:
-    """Area of the filled faces and of all faces, in square world units."""
-    corners = mesh.vertices[mesh.faces]
-    each = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
-    return float(each[mesh.filled].sum()), float(each.sum())
-
-
 def show_filled(scene: bpy.types.Scene, tinted: bool) -> None:
     """Tint the filled faces of the scene's surfaces, in every kind of shading and in renders, or show them plainly."""
     for item in surfaces_of(scene):

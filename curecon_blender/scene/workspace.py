@@ -10,7 +10,7 @@ from pathlib import Path
 import bpy
 
 from ..core import components
-from ..core.mesh import Mesh, mesh_file, read_mesh, textured_folder
+from ..core.mesh import Mesh, filled_share, mesh_file, read_mesh, textured_folder
 from ..core.ply import read_cloud
 from ..core.types import Component, Frame
 from . import cameras, points, surface
@@ -89,10 +89,9 @@ def import_workspace(scene: bpy.types.Scene, folder: Path, *, pack: bool = False
         scene.unit_settings.scale_length = 1.0
     elif parts:
         scene.unit_settings.system = "NONE"  # lengths that nobody measured must not read as metres
-    areas = [surface.areas(mesh) for mesh, _ in filter(None, meshes)]
     return Imported(
         collection=top, clouds=tuple(cloud_objects), surfaces=tuple(surface_objects), cameras=tuple(camera_objects),
-        filled=sum(filled for filled, _ in areas) / max(sum(total for _, total in areas), 1e-12),
+        filled=filled_share(mesh for mesh, _ in filter(None, meshes)),
         frame=parts[0].frame if parts else Frame(scale="unknown", up="given"), parts=len(parts),
         missing_pictures=missing,
     )

@@ -20,18 +20,19 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from . import images
-from .baking import Bake, bake, sample
+from .. import images
+from ..errors import PhotoError, SurfaceError
+from ..files import atomic_write
+from ..mesh import Mesh, triangle_areas
+from ..messages import Reporter
+from ..sampling import sample
+from ..types import Component
+from .baking import Bake, bake
 from .charts import Layout, lay_out
-from .errors import PhotoError, SurfaceError
-from .files import atomic_write
 from .labelling import Candidates, choose_photos, exposure_gains, face_neighbours
-from .mesh import Mesh
-from .messages import Reporter
 from .photo_sources import Source, find_sources
 from .seams import Nodes, cross_fade, diffuse, level
-from .types import Component
-from .visibility import Seen, in_camera, project, smooth_normals, triangle_areas, visible_faces
+from .visibility import Seen, in_camera, project, smooth_normals, visible_faces
 
 PAGE_SIZES = (256, 8192)  # pixels a side: below, padding takes most of a page; above, graphics cards give up
 _RIM = 5 / 800  # of the longest side: nearer than this to the mesh's outline or the picture's edge a photo counts less
@@ -109,7 +110,8 @@ def texture_mesh(
     for start in range(0, layout.pages, at_once):
         numbers = range(start, min(start + at_once, layout.pages))
         share = _PASSES - 1 + start / layout.pages, len(numbers) / layout.pages
-        for page in bake(plan, sources, numbers, lambda done: _progress(reporter, share, done, len(sources))):  # noqa: B023
+        for page in bake(plan, sources, numbers, reporter,
+                         lambda done: _progress(reporter, share, done, len(sources))):  # noqa: B023
             settings = [cv2.IMWRITE_JPEG_QUALITY, 93] if options.jpeg else [cv2.IMWRITE_PNG_COMPRESSION, 3]
             encoded.append(cv2.imencode(f".{kind}", page[..., ::-1], settings)[1])
     _write(folder, names, encoded)
@@ -193,11 +195,11 @@ def _choose(
         size = max(view.width, view.height)
         window = 2 * round(size / 400) + 1
         gradient = cv2.blur(_gradient(picture), (4 * window + 1, 4 * window + 1))
-        sharp = sample(gradient, seen.centre)
+        sharp = sample(gradient, *seen.centre.T)
         rim = np.clip(seen.rim / (_RIM * size), _RIM_LEAST, 1)
         quality = (source.full.K[0, 0] / seen.depth * cosine) ** 2 * np.sqrt(sharp + _GRADIENT_FLOOR) * rim
         quality[_behind_something(source, seen)] *= _BEHIND
-        colour = sample(cv2.blur(picture, (window, window)), seen.centre)
+        colour = sample(cv2.blur(picture, (window, window)), *seen.centre.T)
         candidates.add(number, seen.face, quality.astype(np.float32), colour)
     if not (candidates.quality > 0).any():
         raise TextureError(
@@ -260,7 +262,7 @@ def _level(
         picture = images.read_rgb(source.picture) if len(mine) else None
         if picture is not None:
             pixels = project(in_camera(mesh.vertices[nodes.vertex[mine]], source.view), source.view.K)
-            colour[mine] = sample(cv2.GaussianBlur(picture, (3, 3), 0), pixels) * chosen.gains[number]
+            colour[mine] = sample(cv2.GaussianBlur(picture, (3, 3), 0), *pixels.T) * chosen.gains[number]
     correction = level(nodes, colour) if options.level else np.zeros_like(colour)
     count = np.bincount(nodes.vertex, minlength=len(mesh.vertices))
     levelled = np.stack([

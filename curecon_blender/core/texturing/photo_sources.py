@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from . import images
-from .errors import PhotoError
-from .messages import Reporter
-from .types import Component, View
-from .undistortion import undistort, undistorted_camera
+from .. import images
+from ..errors import PhotoError
+from ..messages import Reporter
+from ..types import Component, View
+from ..undistortion import undistort, undistorted_camera
 
 
 @dataclass(frozen=True)
@@ -30,14 +30,16 @@ class Source:
     depth_map: Path
     camera: pycolmap.Camera | None
 
-    def read(self, scale: float) -> tuple[np.ndarray, np.ndarray]:
-        """The picture (H,W,3) uint8 at `scale` times the full size, and its K (3,3). Raises PhotoError."""
+    def read(self, scale: float, reporter: Reporter) -> tuple[np.ndarray, np.ndarray]:
+        """The picture (H,W,3) uint8 at `scale` times the full size, and its K (3,3). Where the photo has gone or
+        changed since the work began, it is the workspace's picture, with a warning. Raises PhotoError."""
         size = max(1, round(scale * max(self.full.width, self.full.height)))
         if self.camera is not None:
             try:
                 return undistort(images.read_rgb(self.original), self.camera, size)
-            except (PhotoError, ValueError):  # gone or replaced while we work: the workspace's picture has it too
-                pass
+            except (PhotoError, ValueError) as error:
+                reporter.warning(f"{self.original.name} cannot be read any more ({error}): its texture comes from the "
+                                 "smaller picture in the workspace.", self.view.name)
         rgb = images.read_rgb(self.picture, size)
         return rgb, _scaled(self.view.K, rgb.shape[1] / self.view.width, rgb.shape[0] / self.view.height)
 

@@ -16,9 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 import xatlas
 
+from ..mesh import triangle_areas
+from ..types import View
 from .labelling import patches
-from .types import View
-from .visibility import in_camera, project, smooth_normals, triangle_areas
+from .visibility import in_camera, project, smooth_normals
 
 PADDING = 3  # texels around a chart, on each page
 _UNSEEN_DENSITY = 0.25  # of the texels that photos give a face of the same size
@@ -166,7 +167,7 @@ def _flatten(vertices: np.ndarray, faces: np.ndarray, group: np.ndarray, views: 
     rest = order[ends[len(views)] :]
     density = 1.0
     if len(seen):
-        density = np.sqrt(triangle_areas(flat[seen]).sum() / max(_area3(vertices[faces[seen]]).sum(), 1e-30))
+        density = np.sqrt(triangle_areas(flat[seen]).sum() / max(triangle_areas(vertices[faces[seen]]).sum(), 1e-30))
     elif len(rest):
         density = 1024 / max(float(np.ptp(vertices, axis=0).max()), 1e-30)
     for axis in range(3):
@@ -174,8 +175,3 @@ def _flatten(vertices: np.ndarray, faces: np.ndarray, group: np.ndarray, views: 
         face = rest[(group[rest] - len(views)) // 2 == axis]
         flat[face] = vertices[faces[face]][..., plane] * (density * _UNSEEN_DENSITY)
     return flat
-
-
-def _area3(corners: np.ndarray) -> np.ndarray:
-    areas: np.ndarray = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    return areas / 2

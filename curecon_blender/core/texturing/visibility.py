@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from .types import View
+from ..mesh import triangle_areas
+from ..types import View
 
 _BLOCK = 1 << 20  # pixels worked on at once: some tens of bytes each, and a good size for the processor's cache
 _MARGIN = 1 / 800  # of the picture's longest side: a point this near to an occluder's edge counts as hidden
@@ -180,13 +181,6 @@ def visible_faces(vertices: np.ndarray, faces: np.ndarray, view: View) -> Seen:
     rim = np.asarray(cv2.distanceTransform(surface, cv2.DIST_L2, 3))[1:-1, 1:-1]
     at = centre.astype(np.int64)
     return Seen(face, centre, cosine[shown].astype(np.float32), centroid[face, 2], rim[at[:, 1], at[:, 0]])
-
-
-def triangle_areas(corners: np.ndarray) -> np.ndarray:
-    """Areas (n,) of flat triangles (n,3,2)."""
-    ab, ac = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    areas: np.ndarray = np.abs(ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]) / 2
-    return areas
 
 
 def smooth_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from ..messages import Reporter
+from ..sampling import sample
 from .charts import PADDING, Layout
 from .photo_sources import Source
 from .seams import Nodes
 from .visibility import in_camera, project, scan_convert
-
-_ROW = 1024  # cv2.remap takes no array longer than 32767 a side: lists of points are folded into rows of this length
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +43,7 @@ class Bake:
 
 
 def bake(
-    plan: Bake, sources: list[Source], numbers: range, progress: Callable[[int], None]
+    plan: Bake, sources: list[Source], numbers: range, reporter: Reporter, progress: Callable[[int], None]
 ) -> Iterator[np.ndarray]:
     """Yield the pages `numbers` as (S,S,3) uint8 sRGB, row 0 at the top. `progress` is told the photos done."""
     size = plan.layout.size
@@ -57,7 +57,7 @@ def bake(
         borrowed = np.flatnonzero(here & (plan.second == number))
         if not len(own) and not len(borrowed):
             continue
-        picture, K = source.read(plan.layout.scale)
+        picture, K = source.read(plan.layout.scale, reporter)
         for page, pixel, _, colour in _texels(plan, number, source, picture, K, own, plan.nodes.corner[own]):
             first[page - numbers.start, pixel] = colour
             covered[page - numbers.start, pixel] = 1
@@ -93,22 +93,11 @@ def _texels(
             face = here[which]
             # By way of the point in space: right also where a large face is seen at an angle.
             at = project(np.einsum("nk,nkc->nc", weights, points[face]), K)
-            colour = sample(picture, at, cv2.INTER_CUBIC) * gain
+            u, v = np.nan_to_num(at).T
+            colour = sample(picture, u, v, cv2.INTER_CUBIC) * gain
             colour += np.einsum("nk,nkc->nc", weights, correction[face])
             weight = np.einsum("nk,nk->n", weights, plan.weight[faces[face]])
             yield int(page), pixel, weight, np.clip(np.rint(colour), 0, 255).astype(np.uint8)
-
-
-def sample(image: np.ndarray, pixels: np.ndarray, interpolation: int = cv2.INTER_LINEAR) -> np.ndarray:
-    """Values (n,) or (n,C) of `image` (H,W) or (H,W,C) at `pixels` (n,2), pixel centres at .5."""
-    rows = -(-len(pixels) // _ROW)
-    if rows == 0:
-        return np.empty((0, *image.shape[2:]), image.dtype)
-    maps = np.zeros((rows * _ROW, 2), np.float32)
-    maps[: len(pixels)] = np.nan_to_num(pixels) - 0.5
-    x, y = np.moveaxis(maps.reshape(rows, _ROW, 2), -1, 0)
-    values = np.asarray(cv2.remap(image, x, y, interpolation, borderMode=cv2.BORDER_REPLICATE))
-    return values.reshape(-1, *image.shape[2:])[: len(pixels)]
 
 
 def _fill_gaps(page: np.ndarray, covered: np.ndarray) -> np.ndarray:
