@@ -22,10 +22,11 @@ from curecon_blender.core import images
 from curecon_blender.core.errors import Cancelled, PhotoError
 from curecon_blender.core.messages import Message, Progress, Reporter
 from curecon_blender.core.metadata import read_metadata
-from curecon_blender.core.photos import check_photos, describe, ground_sampling_distance
+from curecon_blender.core.photos import check_photos, describe, ground_sampling_distance, write_thumbnails
 from curecon_blender.core.types import Gimbal, PhotoSet
 
 WIDTH, HEIGHT = 320, 240
+SAMPLE = Path(__file__).parent.parent / "samples" / "tulou" / "photos"
 
 DJI_ATTRIBUTES = b"""<?xpacket begin="\xef\xbb\xbf" id="W5M0MpCehiHzreSzNTczkc9d"?>
 <x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">
@@ -507,7 +508,9 @@ class TestCamerasAndBlur:
         photo_set, warnings = check(tmp_path)
         assert [photo.name for photo in photo_set.photos if photo.blurred] == ["DJI_5.JPG"]
         assert len(photo_set.photos) == 8
-        assert describe(photo_set)["blurred"] == ["DJI_5.JPG"]
+        assert describe(photo_set)["doubtful"] == [
+            {"name": "DJI_5.JPG", "path": str(tmp_path / "DJI_5.JPG"), "problems": ["blurred"]}
+        ]
         (warning,) = warnings
         assert "DJI_5.JPG" in warning
 
@@ -519,6 +522,39 @@ class TestCamerasAndBlur:
             Image.fromarray(picture.astype(np.uint8)).save(tmp_path / f"{number}.png")
         photo_set, _ = check(tmp_path)
         assert not any(photo.blurred for photo in photo_set.photos)
+
+    def test_badly_exposed_photos_are_named_and_used(self, tmp_path: Path) -> None:
+        for number in range(6):
+            picture = scene(number, 800, 600).astype(float)
+            if number == 2:
+                picture = 4 * picture
+            elif number == 4:
+                picture = (picture - 110) / 4
+            Image.fromarray(picture.clip(0, 255).astype(np.uint8)).save(tmp_path / f"{number}.png")
+        photo_set, warnings = check(tmp_path)
+        assert [photo.name for photo in photo_set.photos if photo.overexposed] == ["2.png"]
+        assert [photo.name for photo in photo_set.photos if photo.underexposed] == ["4.png"]
+        assert len(photo_set.photos) == 6
+        assert any("overexposed" in warning and "2.png" in warning for warning in warnings)
+
+    def test_thumbnails_are_of_the_doubtful_photos_only(self, tmp_path: Path) -> None:
+        photos, thumbnails = tmp_path / "photos", tmp_path / "thumbnails"
+        photos.mkdir()
+        for number in range(6):
+            picture = scene(number, 800, 600)
+            Image.fromarray(cv2.blur(picture, (6, 1)) if number == 3 else picture).save(photos / f"{number}.png")
+        files = write_thumbnails(check(photos)[0], thumbnails)
+        assert files == {"3.png": thumbnails / "3.png.jpg"}
+        assert list(thumbnails.iterdir()) == [files["3.png"]]
+        assert images.read_rgb(files["3.png"]).shape == (192, 256, 3)
+
+    def test_the_sample_photos_are_sound(self) -> None:
+        photo_set, warnings = check(SAMPLE)
+        summary = describe(photo_set)
+        assert (summary["photos"], summary["with_gps"], summary["doubtful"], warnings) == (33, 33, [], [])
+        assert summary["taken"] == ["2024-09-28T10:48:05+08:00", "2024-09-28T10:51:29+08:00"]
+        assert summary["overlap"]["forward"] == pytest.approx(0.81, abs=0.05)
+        assert summary["overlap"]["weak"] == []
 
     def test_ground_sampling_distance_unknown_without_height(self, folder: Path) -> None:
         assert ground_sampling_distance(check(folder)[0]) is None

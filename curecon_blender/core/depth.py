@@ -31,6 +31,7 @@ SOURCE_MARGIN = 32  # pixels of context kept around what a tile can see in a sou
 # Peak memory of one tile, measured on a CPU (benchmarks/depth.py): fixed, per pixel of the tile, and per pixel of
 # each of its sources.
 BASE_BYTES = 500 << 20
+LEAST_BUDGET = BASE_BYTES + (400 << 20)  # of the whole stage: one small tile
 BYTES_PER_HYPOTHESIS = 60  # and pixel of the photo
 BYTES_PER_SOURCE_PIXEL = 80
 
@@ -105,7 +106,7 @@ def plan_tiles(width: int, height: int, sources: int, hypotheses: int, budget: i
             break
     raise DeviceError(
         f"A memory budget of {budget / 2**30:.2f} GiB is too small for even one tile of a depth map.",
-        remedy=f"Give it at least {(BASE_BYTES + 400 * 2**20) / 2**30:.1f} GiB, or close other programs.",
+        remedy=f"Give it at least {LEAST_BUDGET / 2**30:.1f} GiB, or close other programs.",
     )
 
 

@@ -106,6 +106,7 @@ class Reporter:
         self._stage = self._stages[0]
         self._started = time.monotonic()
         self._fresh_from = 0
+        self.resumed = False  # whether part of the stage was found finished from an earlier run
         self.warnings: list[str] = []
 
     def begin(self, stages: tuple[str, ...]) -> None:
@@ -114,14 +115,14 @@ class Reporter:
 
     def stage(self, stage: str) -> None:
         self.check_cancelled()
-        self._stage, self._started, self._fresh_from = stage, time.monotonic(), 0
+        self._stage, self._started, self._fresh_from, self.resumed = stage, time.monotonic(), 0, False
         self._sink(StageStarted(stage=stage, index=self._stages.index(stage), count=len(self._stages)))
 
     def progress(self, done: int, total: int, *, fresh: bool = True) -> None:
         """`fresh=False` for units found finished from an earlier run: they take no time, so no ETA comes of them."""
         self.check_cancelled()
         if not fresh:
-            self._fresh_from, self._started = done, time.monotonic()
+            self._fresh_from, self._started, self.resumed = done, time.monotonic(), True
         weights = [STAGE_WEIGHTS[s] for s in self._stages]
         index = self._stages.index(self._stage)
         whole = sum(weights)

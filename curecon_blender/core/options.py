@@ -15,15 +15,17 @@ QUALITIES = ("preview", "standard", "high", "ultra")
 
 @dataclass(frozen=True, kw_only=True)
 class Preset:
-    """What a quality stands for: longest image side for SfM and for depth maps (pixels), and source views."""
+    """What a quality stands for: longest image side for SfM and for depth maps (pixels), source views, and most
+    features a photo."""
 
     sfm_image_size: int
     image_size: int
     source_views: int
+    max_features: int = 8192
 
 
 PRESETS = {
-    "preview": Preset(sfm_image_size=1200, image_size=800, source_views=4),
+    "preview": Preset(sfm_image_size=1200, image_size=800, source_views=4, max_features=4096),
     "standard": Preset(sfm_image_size=1600, image_size=1600, source_views=4),
     "high": Preset(sfm_image_size=2400, image_size=2400, source_views=6),
     "ultra": Preset(sfm_image_size=3200, image_size=100_000, source_views=8),
@@ -41,6 +43,7 @@ class Options:
     max_image_size: int | None = None  # pixels; overrides the preset's depth-map size
     views: int | None = None  # source views per reference; overrides the preset's
     until: str = "fusion"
+    speeds: Path | None = None  # file where this computer's speed is kept, for predictions of later jobs
     memory_gib: float | None = None  # budget for the depth stage; None: 60 % of what is free
     device: str = "auto"  # auto, cpu, cuda, mps
     precision: str = "auto"  # auto, fp32, bf16

@@ -19,16 +19,13 @@ import psutil
 
 from . import components as components_file
 from .allocator import release
-from .errors import SparseError, SurfaceError, WorkspaceError
+from .errors import DeviceError, SparseError, SurfaceError, WorkspaceError
 from .files import scratch_folder, write_json
 from .mesh import filled_share, mesh_file, read_mesh, textured_folder, write_mesh
 from .messages import Reporter
-from .options import PRESETS, STAGES, SURFACE_STAGES, Options
+from .options import STAGES, SURFACE_STAGES, Options
 from .types import Component, GeoPosition, Gimbal, Photo, PhotoSet, SkippedPhoto
 from .workspace import StageRecord, Workspace, folder_bytes, key_of
-
-FEATURE_BYTES_PER_PHOTO = 3 << 20  # features and matches in COLMAP's database
-BYTES_PER_DEPTH_PIXEL = 11.0  # a depth map's file, its undistorted picture and fusion's scratch, per pixel
 
 
 def reconstruct(options: Options, reporter: Reporter) -> dict[str, Any]:
@@ -61,14 +58,29 @@ def reconstruct(options: Options, reporter: Reporter) -> dict[str, Any]:
         return job.summary(stages)
 
 
-def check(photos: Path, reporter: Reporter) -> dict[str, Any]:
-    """The photo check alone: what was found, and what each quality would cost here."""
-    from .photos import check_photos, describe
+def check(options: Options, thumbnails: Path | None, reporter: Reporter) -> dict[str, Any]:
+    """The photo check alone: what was found, and what each quality would cost here. Only the folder `thumbnails` is
+    written, with small pictures of doubtful photos."""
+    from . import cost
+    from .photos import check_photos, describe, write_thumbnails
 
+    assert options.photos is not None
     reporter.begin(("photos",))
     reporter.stage("photos")
-    photo_set = check_photos(photos, reporter)
-    return {**describe(photo_set), "presets": {q: _cost(photo_set, q) for q in PRESETS}}
+    photo_set = check_photos(options.photos, reporter)
+    summary = describe(photo_set)
+    if thumbnails is not None:
+        files = write_thumbnails(photo_set, thumbnails)
+        for doubtful in summary["doubtful"]:
+            doubtful["thumbnail"] = str(files.get(doubtful["name"], ""))
+    try:
+        slowness = cost.slowness_here(options.device, options.speeds)
+    except DeviceError as error:
+        reporter.warning(f"{error.message} {error.remedy}")
+        slowness = cost.slowness_here("cpu", options.speeds)
+    return {
+        **summary, **cost.free(options.workspace), "presets": cost.predict_all(photo_set.photos, options, slowness),
+    }
 
 
 class _Job:
@@ -105,7 +117,7 @@ class _Job:
         self.photo_set = _photo_set_from_json(file)
 
     def sparse(self) -> None:
-        from . import sparse
+        from . import cost, sparse
 
         options = self.options
         inputs: dict[str, Any] = {"model": _digest(options.model)} if options.model else {"mapper": options.mapper}
@@ -113,7 +125,7 @@ class _Job:
 
         def run() -> None:
             # The database ends the process when its disk is full, so what it may need is asked for beforehand.
-            self.workspace.require_space(len(self.photo_set.photos) * FEATURE_BYTES_PER_PHOTO + self._depth_bytes())
+            self.workspace.require_space(cost.disk_bytes(self.photo_set.photos, options))
             if options.model:
                 sparse.import_model(options.model, self.photo_set, options, self.workspace.root, self.reporter)
             else:
@@ -122,10 +134,11 @@ class _Job:
         self._stage("sparse", inputs, run)
 
     def views(self) -> None:
+        from . import cost
         from .views import prepare_views
 
         def run() -> None:
-            self.workspace.require_space(self._depth_bytes())
+            self.workspace.require_space(cost.depth_bytes(self.photo_set.photos, self.options))
             found = prepare_views(self.photo_set, self.options, self.workspace.root, self.reporter)
             components_file.write(self.workspace.root, found)
 
@@ -270,13 +283,18 @@ class _Job:
                 run()
             record = StageRecord(key=key, seconds=time.monotonic() - started, peak_gib=peak.bytes / 2**30)
             self.workspace.mark_done(stage, record)
+            self._learn(stage, record.seconds)
         else:
             self.reporter.log(f"{stage}: already done")
         self.key = key
 
-    def _depth_bytes(self) -> int:
-        return int(sum(_scaled_pixels(p, self.options.image_size) for p in self.photo_set.photos)
-                   * BYTES_PER_DEPTH_PIXEL)
+    def _learn(self, stage: str, seconds: float) -> None:
+        """Keep this computer's speed, unless the stage was not run from its start or on the whole site."""
+        from . import cost
+
+        options = self.options
+        if stage != "photos" and options.photos and not (self.reporter.resumed or options.model or options.region):
+            cost.learn(stage, seconds, self.photo_set.photos, options)
 
 
 class PeakMemory:
@@ -346,31 +364,6 @@ def _point_count(cloud: Path) -> int:
     except FileNotFoundError:
         pass  # not fused yet, or nothing to fuse: no points
     return 0
-
-
-def _scaled_pixels(photo: Photo, size: int) -> float:
-    return photo.width * photo.height * min(1.0, size / max(photo.width, photo.height)) ** 2
-
-
-# CPU seconds and bytes of the preset estimate, measured on two cores (benchmarks/RESULTS.md).
-_SECONDS_PER_MEGAPIXEL, _SECONDS_PER_PHOTO = 9.0, 3.0
-
-
-def _cost(photo_set: PhotoSet, quality: str) -> dict[str, float]:
-    """Rough time, memory and disk of a quality on a laptop without a graphics card."""
-    from . import depth
-
-    size, sources = PRESETS[quality].image_size, PRESETS[quality].source_views
-    pixels = [_scaled_pixels(photo, size) for photo in photo_set.photos]
-    megapixels = sum(pixels) / 1e6
-    per_pixel = depth.bytes_per_pixel(depth.typical_hypotheses(size)) + sources * depth.BYTES_PER_SOURCE_PIXEL
-    whole = depth.BASE_BYTES + max(pixels) * per_pixel
-    available = 0.6 * psutil.virtual_memory().available
-    return {
-        "seconds": round(len(pixels) * _SECONDS_PER_PHOTO + megapixels * _SECONDS_PER_MEGAPIXEL * (1 + sources / 8)),
-        "memory_gib": round(min(whole, available) / 2**30, 1),
-        "disk_gib": round(megapixels * 1e6 * BYTES_PER_DEPTH_PIXEL / 2**30, 2),
-    }
 
 
 def _photo_set_to_json(photo_set: PhotoSet) -> dict[str, Any]:

@@ -106,7 +106,7 @@ def _database_path(workspace: Path) -> Path:
 
 def _feature_settings(options: Options) -> matching.FeatureSettings:
     return matching.FeatureSettings(
-        image_size=options.preset.sfm_image_size, max_features=4096 if options.quality == "preview" else 8192
+        image_size=options.preset.sfm_image_size, max_features=options.preset.max_features
     )
 
 

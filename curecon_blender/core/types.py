@@ -49,6 +49,8 @@ class Photo:
     time: str | None = None  # ISO 8601, camera's local time
     sharpness: float = 0.0  # relative to the job's median photo: below BLURRED it counts as blurred
     blurred: bool = False
+    overexposed: bool = False  # too much of it is pure white
+    underexposed: bool = False  # too much of it is black
 
 
 @dataclass(frozen=True, kw_only=True)

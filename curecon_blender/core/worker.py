@@ -81,9 +81,13 @@ def _run(options: argparse.Namespace, reporter: Reporter) -> dict[str, object]:
     from . import pipeline
 
     if options.command == "check":
-        return pipeline.check(options.photos, reporter)
+        return pipeline.check(_options(options), options.thumbnails, reporter)
+    return pipeline.reconstruct(_options(options), reporter)
+
+
+def _options(options: argparse.Namespace) -> Options:
     fields = {name: getattr(options, name) for name in Options.__dataclass_fields__ if hasattr(options, name)}
-    return pipeline.reconstruct(Options(**fields), reporter)
+    return Options(**{**fields, "workspace": options.workspace or options.photos})
 
 
 def _require_libraries() -> None:
@@ -115,9 +119,6 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--max-image-size", type=_positive(int), help="longest side of a depth map in pixels")
     run.add_argument("--views", type=_positive(int), help="source views per photo")
     run.add_argument("--until", choices=STAGES, default=default["until"], help="stop after this stage")
-    run.add_argument("--memory", type=_positive(float), dest="memory_gib", metavar="GIB",
-                     help="memory budget of the depth maps")
-    run.add_argument("--device", choices=("auto", "cpu", "cuda", "mps"), default=default["device"])
     run.add_argument("--precision", choices=("auto", "fp32", "bf16"), default=default["precision"])
     run.add_argument("--mapper", choices=("auto", "incremental", "global"), default=default["mapper"])
     run.add_argument("--weights", type=Path, help="other weights (.safetensors with its .json beside it)")
@@ -143,6 +144,15 @@ def _parser() -> argparse.ArgumentParser:
         command.add_argument("--texture-format", choices=("png", "jpeg"), default=default["texture_format"])
     check = commands.add_parser("check", help="look at the photos and say what each quality would cost")
     check.add_argument("photos", type=Path)
+    check.add_argument("--workspace", type=Path, help="where the job would be kept, for its disk's free space")
+    check.add_argument("--thumbnails", type=Path, metavar="FOLDER",
+                       help="folder for small pictures of blurred and badly exposed photos")
+    for command in (run, check):
+        command.add_argument("--device", choices=("auto", "cpu", "cuda", "mps"), default=default["device"])
+        command.add_argument("--memory", type=_positive(float), dest="memory_gib", metavar="GIB",
+                             help="memory budget of the depth maps")
+        command.add_argument("--speeds", type=Path, metavar="FILE",
+                             help="where this computer's speed is kept, for predictions")
     for command in (run, surface, check):
         command.add_argument("--json", action="store_true", help="print a JSON summary as the last line")
     return parser

@@ -1,0 +1,95 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Predicted time, memory and disk, against the runs in benchmarks/RESULTS.md and the jobs of one computer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from curecon_blender.core import cost
+from curecon_blender.core.options import PRESETS, STAGES, Options
+from curecon_blender.core.types import GeoPosition, Photo
+
+REFERENCE = dict.fromkeys(STAGES, 1.0)
+
+
+def site(count: int, width: int, height: int, *, gps: bool = True) -> tuple[Photo, ...]:
+    return tuple(
+        Photo(
+            name=f"{i}.jpg", path=Path(f"{i}.jpg"), width=width, height=height, camera="c", focal_px=float(width),
+            gps=GeoPosition(latitude=45 + row * 1e-4, longitude=7 + column * 1e-4, altitude=300.0) if gps else None,
+        )
+        for i in range(count) for row, column in [divmod(i, 6)]
+    )
+
+
+# photos, width, height, GPS, quality, measured seconds of sparse, depth and fusion, and peak GiB
+MEASURED = [
+    (33, 1200, 900, True, "standard", 176, 334, 23, 2.95),
+    (32, 1600, 1300, True, "preview", 145, 85, 9, 2.3),
+    (11, 2832, 2128, False, "preview", 30, 33, 3, 1.6),
+    (11, 3072, 2048, False, "preview", 34, 34, 3, 1.8),
+    (172, 800, 600, True, "preview", 477, 375, 42, 3.1),
+]
+
+
+@pytest.mark.parametrize(("count", "width", "height", "gps", "quality", "sparse", "depth", "fusion", "peak"), MEASURED)
+def test_known_runs_are_predicted(
+    count: int, width: int, height: int, gps: bool, quality: str, sparse: float, depth: float, fusion: float,
+    peak: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(cost.matching, "threads", lambda: 2)  # the reference's
+    options = Options(photos=None, workspace=tmp_path, quality=quality, memory_gib=10.0)
+    photos = site(count, width, height, gps=gps)
+    seconds = cost.reference_seconds(photos, options)
+    assert seconds["sparse"] == pytest.approx(sparse, rel=0.4)
+    assert seconds["depth"] == pytest.approx(depth, rel=0.55)
+    assert seconds["fusion"] == pytest.approx(fusion, rel=0.3)
+    predicted = cost.predict(photos, options, REFERENCE)
+    assert predicted["seconds"] == pytest.approx(sparse + depth + fusion, rel=0.35)
+    assert predicted["memory_gib"] == pytest.approx(peak, rel=0.3)
+
+
+def test_better_costs_more_and_so_does_going_further(tmp_path: Path) -> None:
+    predicted = cost.predict_all(site(20, 5472, 3648), Options(photos=None, workspace=tmp_path), REFERENCE)
+    seconds = [predicted[quality]["fusion"]["seconds"] for quality in PRESETS]
+    disk = [predicted[quality]["fusion"]["disk_gib"] for quality in PRESETS]
+    assert seconds == sorted(seconds) and len(set(seconds)) == 4
+    assert disk == sorted(disk) and len(set(disk)) == 4
+    goals = [predicted["standard"][goal] for goal in cost.GOALS]
+    assert [goal["seconds"] for goal in goals] == sorted(goal["seconds"] for goal in goals)
+
+
+def test_predictions_come_true_after_the_first_job(tmp_path: Path) -> None:
+    speeds = tmp_path / "user" / "speeds.json"
+    options = Options(photos=None, workspace=tmp_path, speeds=speeds, device="cpu")
+    photos = site(20, 1600, 1200)
+    took = {stage: 3.7 * seconds for stage, seconds in cost.reference_seconds(photos, options).items()}
+    for stage in ("sparse", "depth", "fusion"):
+        cost.learn(stage, took[stage], photos, options)
+    bigger = site(40, 1600, 1200)
+    slowness = cost.slowness_here("cpu", speeds)
+    expected = cost.reference_seconds(bigger, options)
+    for stage in ("sparse", "depth", "fusion"):
+        assert slowness[stage] * expected[stage] == pytest.approx(3.7 * expected[stage], rel=0.01)
+
+
+def test_one_slow_job_does_not_spoil_the_rest_and_a_damaged_file_is_learned_anew(tmp_path: Path) -> None:
+    speeds = tmp_path / "speeds.json"
+    options = Options(photos=None, workspace=tmp_path, speeds=speeds, device="cpu")
+    photos = site(20, 1600, 1200)
+    speeds.write_text("half of a fi")
+    for ratio in (2.0, 2.0, 40.0):
+        cost.learn("depth", ratio * cost.reference_seconds(photos, options)["depth"], photos, options)
+    assert cost.slowness_here("cpu", speeds)["depth"] == pytest.approx(2.0, rel=0.01)
+
+
+def test_the_depth_stage_keeps_to_its_budget(tmp_path: Path) -> None:
+    photos = site(20, 8000, 6000)
+    options = Options(photos=None, workspace=tmp_path, quality="preview")
+    wide = cost.predict(photos, replace(options, max_image_size=8000, memory_gib=100.0), REFERENCE)
+    tight = cost.predict(photos, replace(options, max_image_size=8000, memory_gib=2.0), REFERENCE)
+    assert tight["memory_gib"] < 4 < wide["memory_gib"]
