@@ -6,11 +6,11 @@ from __future__ import annotations
 
 import bpy
 
-from . import build_surface, check_photos, choose_photos, export_surface, import_workspace, reconstruct
+from . import build_surface, check_photos, choose_photos, export_surface, import_workspace, present_sun, reconstruct
 
 CLASSES = (
     *choose_photos.CLASSES, *check_photos.CLASSES, *reconstruct.CLASSES, *import_workspace.CLASSES,
-    *build_surface.CLASSES, *export_surface.CLASSES,
+    *build_surface.CLASSES, *export_surface.CLASSES, *present_sun.CLASSES,
 )
 
 

@@ -4,6 +4,6 @@
 
 from __future__ import annotations
 
-from . import photos, reconstruct, result, surface
+from . import photos, present, reconstruct, result, surface
 
-CLASSES = (*photos.CLASSES, *reconstruct.CLASSES, *result.CLASSES, *surface.CLASSES)
+CLASSES = (*photos.CLASSES, *reconstruct.CLASSES, *result.CLASSES, *surface.CLASSES, *present.CLASSES)

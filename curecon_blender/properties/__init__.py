@@ -20,8 +20,9 @@ from bpy.props import (
 from ..core.options import PRESETS
 from ..scene import cameras, surface, viewport
 from ..scene.workspace import clouds_of, hide
-from . import photos, result
+from . import photos, present, result
 from .photos import CURECON_PG_check
+from .present import CURECON_PG_present
 from .result import CURECON_PG_result
 
 
@@ -183,9 +184,10 @@ class CURECON_PG_scene(bpy.types.PropertyGroup):
     )
     check: PointerProperty(type=CURECON_PG_check)
     result: PointerProperty(type=CURECON_PG_result)
+    present: PointerProperty(type=CURECON_PG_present)
 
 
-CLASSES = (*photos.CLASSES, *result.CLASSES, CURECON_PG_scene)
+CLASSES = (*photos.CLASSES, *result.CLASSES, *present.CLASSES, CURECON_PG_scene)
 
 
 def attach() -> None:

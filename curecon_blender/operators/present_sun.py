@@ -1,0 +1,94 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The light of the day on which the photos were taken."""
+
+from __future__ import annotations
+
+from datetime import timedelta
+from math import degrees
+
+import bpy
+
+from ..core import capture, sun
+from ..core.errors import CuReconError, WorkspaceError
+from ..scene import daylight, site
+from . import places, running
+
+
+class CURECON_OT_set_sun(bpy.types.Operator):
+    """Set a sun lamp and a sky as they stood when the photos were taken, and let them light the surface.
+
+Press again after a change of the settings"""
+
+    bl_idname = "curecon.set_sun"
+    bl_label = "Sun of the Photos"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if site.subject(context.scene) is None:
+            cls.poll_message_set("There is no cloud and no surface in the scene")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            level, said = _set_sun(context.scene)
+        except CuReconError as error:
+            self.report({"ERROR"}, running.explain(error))
+            return {"CANCELLED"}
+        self.report({level}, said)
+        return {"FINISHED"}
+
+
+class CURECON_OT_remove_sun(bpy.types.Operator):
+    """Take the sun and the sky away, and put back the world that was there before"""
+
+    bl_idname = "curecon.remove_sun"
+    bl_label = "Remove Sun and Sky"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return daylight.is_shining(context.scene)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        daylight.remove(context.scene)
+        context.scene.curecon.surface_light = "PHOTO"
+        return {"FINISHED"}
+
+
+def _set_sun(scene: bpy.types.Scene) -> tuple[str, str]:
+    """Returns the report's level and its words. Raises CuReconError."""
+    properties = scene.curecon
+    present, place = properties.present, site.place(scene)
+    times = capture.read_times(places.absolute(properties.result.workspace))
+    if not times:
+        raise WorkspaceError(
+            "No photo says when it was taken.", remedy="Add a Sun lamp by hand (Add > Light > Sun).",
+        )
+    known = place.latitude is not None
+    latitude = place.latitude if known else present.latitude
+    longitude = place.longitude if known else present.longitude
+    north = 0.0 if place.north else degrees(present.north)
+    taken = capture.middle_time(times)
+    utc = capture.to_utc(taken, longitude) + timedelta(hours=present.hour_correction)
+    azimuth, altitude = sun.position(utc, latitude, longitude)
+    if altitude < 0:
+        raise WorkspaceError(
+            f"At {taken:%H:%M} on {taken:%d %B %Y} the sun was {-altitude:.0f} degrees below the horizon there.",
+            remedy="Check the latitude and longitude, or correct the hour under Sun and Sky.",
+        )
+    daylight.shine(scene, site.box(scene), azimuth, altitude, north)
+    properties.surface_light = "SCENE"
+    said = f"{utc:%d %B %Y, %H:%M} UTC: the sun {altitude:.0f}° high in {azimuth:.0f}°."
+    guesses = [text for text, guessed in (
+        ("the place is the one typed in", not known), ("north is the one typed in", not place.north),
+        ("the time zone is taken from the longitude", taken.tzinfo is None),
+    ) if guessed]
+    if guesses:
+        return "WARNING", f"{said} Not from the photos: {', '.join(guesses)}."
+    return "INFO", said
+
+
+CLASSES = (CURECON_OT_set_sun, CURECON_OT_remove_sun)

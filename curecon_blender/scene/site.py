@@ -1,0 +1,131 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is presented: the building's box, and what is known of where it stands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+from mathutils import Vector
+
+from ..core import footprint
+from ..core.errors import SurfaceError
+from .points import about_the_subject
+from .surface import is_surface, surfaces_of
+from .workspace import clouds_of
+
+SAMPLE = 200_000  # points that suffice for a box
+
+
+@dataclass(frozen=True, kw_only=True)
+class Box:
+    """A box with Z up in the scene's world: `centre` (3,), `half` its half sizes (3,) in scene units along its own
+    axes, which are turned by `turn` radians, anticlockwise."""
+
+    centre: np.ndarray
+    half: np.ndarray
+    turn: float
+
+    @property
+    def ground(self) -> float:
+        return float(self.centre[2] - self.half[2])
+
+    @property
+    def height(self) -> float:
+        return float(2 * self.half[2])
+
+    @property
+    def radius(self) -> float:
+        """Of the sphere about it."""
+        return float(np.linalg.norm(self.half))
+
+    def axis(self, index: int) -> np.ndarray:
+        """Unit vector (3,) of its own x, y or z in the world."""
+        cos, sin = np.cos(self.turn), np.sin(self.turn)
+        return np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])[index]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """What the import knows of the frame: is +Y north, and its origin's latitude and longitude in degrees."""
+
+    north: bool
+    latitude: float | None
+    longitude: float | None
+
+
+def subject(scene: bpy.types.Scene) -> bpy.types.Object | None:
+    """The largest surface or cloud that renders show; where all are hidden, the largest of all."""
+    found = [*surfaces_of(scene), *clouds_of(scene)]
+    return next((item for item in found if not item.hide_render), found[0] if found else None)
+
+
+def box(scene: bpy.types.Scene) -> Box:
+    """The region box where one is chosen, else a box about the building. Raises SurfaceError when there is nothing."""
+    region = scene.curecon.region
+    if region is not None:
+        return _box_of_region(region)
+    item = subject(scene)
+    if item is None:
+        raise SurfaceError(
+            "There is nothing to present in the scene.", remedy="Reconstruct photos or import a workspace first."
+        )
+    points = _world_points(item)
+    if not len(points):
+        raise SurfaceError(f"{item.name} is empty.", remedy="Import its workspace again.")
+    points = about_the_subject(points)
+    direction = _walls_of(item) if is_surface(item) else None
+    turn = footprint.rectangle_direction(points[:, :2]) if direction is None else direction
+    plan = footprint.turned(points[:, :2], turn)
+    low, high = np.percentile(plan, [1, 99], axis=0)
+    inside = points[np.all((plan >= low) & (plan <= high), axis=1), 2]
+    bottom, top = np.percentile(inside, 1), inside.max()  # a spire is few points and must not be cut off
+    middle = footprint.turned(((low + high) / 2)[None], -turn)[0]
+    return Box(
+        centre=np.array([*middle, (bottom + top) / 2]), half=np.array([*(high - low) / 2, (top - bottom) / 2]),
+        turn=turn,
+    )
+
+
+def place(scene: bpy.types.Scene) -> Place:
+    """What is known of the frame of what is presented."""
+    item = subject(scene)
+    holders = [item, *item.users_collection] if item is not None else []
+    holder = next((h for h in holders if "north" in h), {})
+    return Place(
+        north=bool(holder.get("north", False)), latitude=holder.get("origin_latitude"),
+        longitude=holder.get("origin_longitude"),
+    )
+
+
+def _box_of_region(region: bpy.types.Object) -> Box:
+    corners = np.array([region.matrix_world @ Vector(corner) for corner in region.bound_box])
+    along = np.array(region.matrix_world.to_3x3().col[0])
+    turn = float(np.arctan2(along[1], along[0]))
+    plan = footprint.turned(corners[:, :2], turn)
+    low, high = np.array([*plan.min(axis=0), corners[:, 2].min()]), np.array([*plan.max(axis=0), corners[:, 2].max()])
+    middle = (low + high) / 2
+    return Box(
+        centre=np.array([*footprint.turned(middle[None, :2], -turn)[0], middle[2]]), half=(high - low) / 2, turn=turn,
+    )
+
+
+def _world_points(item: bpy.types.Object) -> np.ndarray:
+    attribute = item.data.attributes["position"]
+    positions = np.empty((len(attribute.data), 3), np.float32)
+    attribute.data.foreach_get("vector", positions.ravel())
+    sample = positions[:: max(1, len(positions) // SAMPLE)].astype(float)
+    matrix = np.array(item.matrix_world)
+    result: np.ndarray = sample @ matrix[:3, :3].T + matrix[:3, 3]
+    return result
+
+
+def _walls_of(item: bpy.types.Object) -> float | None:
+    count = len(item.data.polygons)
+    normals, areas = np.empty((count, 3), np.float32), np.empty(count, np.float32)
+    item.data.polygons.foreach_get("normal", normals.ravel())
+    item.data.polygons.foreach_get("area", areas)
+    rotation = np.array(item.matrix_world.to_3x3().normalized())
+    return footprint.wall_direction(normals @ rotation.T, areas)

@@ -1,0 +1,90 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The sun of the photos falls as it fell on their day, and is moved and taken away without litter. Argument: a folder."""
+
+from __future__ import annotations
+
+import json
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+
+import bpy
+import numpy as np
+import surface_scene
+import workspace_scene
+from mathutils import Vector
+
+import curecon_blender
+from curecon_blender.core import sun
+
+FOLDER = Path(sys.argv[1]) / "work"
+LATITUDE, LONGITUDE = 24.5, 117.25  # of the little workspace
+
+
+def tell_times(zone: str) -> None:
+    photos = [{"name": name, "time": f"2024-09-28T10:4{minute}:00{zone}"}
+              for minute, name in enumerate(workspace_scene.PHOTOS)]
+    (FOLDER / "photos.json").write_text(json.dumps({"photos": photos, "skipped": []}), encoding="utf-8")
+
+
+def lamp_direction() -> np.ndarray:
+    """Unit vector (3,) towards the lamp."""
+    bpy.context.view_layer.update()
+    (lamp,) = (item for item in bpy.context.scene.objects if item.type == "LIGHT")
+    return np.array(lamp.matrix_world.to_3x3() @ Vector((0, 0, 1)))
+
+
+def ours() -> tuple[int, int, int]:
+    return len(bpy.data.lights), len(bpy.data.worlds), len(bpy.data.objects)
+
+
+curecon_blender.register()
+try:
+    bpy.ops.wm.read_homefile(use_empty=True)
+    assert not bpy.ops.curecon.set_sun.poll() and not bpy.ops.curecon.remove_sun.poll()
+    workspace_scene.write(FOLDER)
+    surface_scene.write(FOLDER, textured=False)
+    bpy.ops.curecon.import_workspace(directory=str(FOLDER))
+    scene = bpy.context.scene
+    before = bpy.data.worlds.new("The user's")
+    scene.world = before
+    try:
+        bpy.ops.curecon.set_sun()
+        raise AssertionError("there is no photos.json yet")
+    except RuntimeError as error:
+        assert "capture times are unknown" in str(error)
+    none = ours()
+
+    tell_times("+08:00")
+    assert bpy.ops.curecon.set_sun() == {"FINISHED"}
+    expected = sun.direction(*sun.position(datetime(2024, 9, 28, 2, 42, tzinfo=UTC), LATITUDE, LONGITUDE))
+    assert np.degrees(np.arccos(lamp_direction() @ expected)) < 0.1, (lamp_direction(), expected)
+    assert scene.curecon.surface_light == "SCENE"
+    sky = next(node for node in scene.world.node_tree.nodes if node.type == "TEX_SKY")
+    azimuth = np.degrees(np.arctan2(expected[0], expected[1])) % 360
+    assert abs(np.degrees(sky.sun_rotation) - azimuth) < 0.1
+    assert abs(np.degrees(sky.sun_elevation) - np.degrees(np.arcsin(expected[2]))) < 0.1
+
+    # A second press moves the same lamp; what the user set on it stays. Without an offset the longitude tells the hour.
+    made = ours()
+    scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0.5
+    tell_times("")
+    scene.curecon.present.hour_correction = 3
+    assert bpy.ops.curecon.set_sun() == {"FINISHED"} and ours() == made
+    later = sun.direction(*sun.position(datetime(2024, 9, 28, 5, 42, tzinfo=UTC), LATITUDE, LONGITUDE))
+    assert np.degrees(np.arccos(lamp_direction() @ later)) < 0.1
+    assert scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value == 0.5
+
+    scene.curecon.present.hour_correction = 12
+    try:
+        bpy.ops.curecon.set_sun()
+        raise AssertionError("it is night then")
+    except RuntimeError as error:
+        assert "below the horizon" in str(error)
+
+    assert bpy.ops.curecon.remove_sun() == {"FINISHED"} and ours() == none
+    assert scene.world == before and scene.curecon.surface_light == "PHOTO"
+finally:
+    curecon_blender.unregister()
+print("CHECKED")
