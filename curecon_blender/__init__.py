@@ -14,13 +14,15 @@ def register() -> None:
     import bpy
 
     from . import operators, panels, preferences, properties
-    from .scene import viewport
+    from .scene import history, overlay, viewport
 
     for cls in (*preferences.CLASSES, *properties.CLASSES, *operators.CLASSES, *panels.CLASSES):
         bpy.utils.register_class(cls)
     properties.attach()
     operators.add_menus()
     viewport.start()
+    overlay.start()
+    history.start()
 
 
 def unregister() -> None:
@@ -28,9 +30,11 @@ def unregister() -> None:
 
     from . import operators, panels, preferences, properties
     from .operators import running
-    from .scene import viewport
+    from .scene import history, overlay, viewport
 
     running.close()
+    history.stop()
+    overlay.stop()
     viewport.stop()
     operators.remove_menus()
     properties.detach()

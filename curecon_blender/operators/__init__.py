@@ -6,11 +6,25 @@ from __future__ import annotations
 
 import bpy
 
-from . import build_surface, check_photos, choose_photos, export_surface, import_workspace, present_sun, reconstruct
+from . import (
+    build_surface,
+    check_photos,
+    choose_photos,
+    export_surface,
+    frame_level,
+    frame_north,
+    frame_reset,
+    frame_scale,
+    import_workspace,
+    measure,
+    present_sun,
+    reconstruct,
+)
 
 CLASSES = (
     *choose_photos.CLASSES, *check_photos.CLASSES, *reconstruct.CLASSES, *import_workspace.CLASSES,
     *build_surface.CLASSES, *export_surface.CLASSES, *present_sun.CLASSES,
+    *frame_scale.CLASSES, *frame_level.CLASSES, *frame_north.CLASSES, *frame_reset.CLASSES, *measure.CLASSES,
 )
 
 

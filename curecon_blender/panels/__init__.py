@@ -4,6 +4,6 @@
 
 from __future__ import annotations
 
-from . import photos, present, reconstruct, result, surface
+from . import frame, photos, present, reconstruct, result, surface
 
-CLASSES = (*photos.CLASSES, *reconstruct.CLASSES, *result.CLASSES, *surface.CLASSES, *present.CLASSES)
+CLASSES = (*photos.CLASSES, *reconstruct.CLASSES, *result.CLASSES, *frame.CLASSES, *surface.CLASSES, *present.CLASSES)

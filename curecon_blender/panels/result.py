@@ -32,7 +32,7 @@ class CURECON_PT_result(Panel, bpy.types.Panel):
         if result.parts > 1:
             column.label(text=f"In {result.parts} parts that do not connect", icon="ERROR")
         if result.scale == "metres":
-            column.label(text="True scale: 1 unit is 1 metre", icon="DRIVER_DISTANCE")
+            paragraph(box, context, f"True scale from {result.scale_source}", icon="DRIVER_DISTANCE")
         else:
             column.label(text="Scale unknown: do not measure", icon="ERROR")
         if result.note:

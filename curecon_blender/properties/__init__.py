@@ -10,6 +10,7 @@ from __future__ import annotations
 import bpy
 from bpy.props import (
     BoolProperty,
+    CollectionProperty,
     EnumProperty,
     FloatProperty,
     IntProperty,
@@ -20,7 +21,8 @@ from bpy.props import (
 from ..core.options import PRESETS
 from ..scene import cameras, surface, viewport
 from ..scene.workspace import clouds_of, hide
-from . import photos, present, result
+from . import frame, photos, present, result
+from .frame import CURECON_PG_measurement
 from .photos import CURECON_PG_check
 from .present import CURECON_PG_present
 from .result import CURECON_PG_result
@@ -184,10 +186,16 @@ class CURECON_PG_scene(bpy.types.PropertyGroup):
     )
     check: PointerProperty(type=CURECON_PG_check)
     result: PointerProperty(type=CURECON_PG_result)
+    measurements: CollectionProperty(type=CURECON_PG_measurement)
+    measurement_index: IntProperty(name="Distance", description="The chosen distance on the list", default=0, min=0)
+    show_measurements: BoolProperty(
+        name="Show Distances", description="Draw the measured distances over the viewports", default=True,
+        update=_redraw,
+    )
     present: PointerProperty(type=CURECON_PG_present)
 
 
-CLASSES = (*photos.CLASSES, *result.CLASSES, *present.CLASSES, CURECON_PG_scene)
+CLASSES = (*photos.CLASSES, *result.CLASSES, *frame.CLASSES, *present.CLASSES, CURECON_PG_scene)
 
 
 def attach() -> None:

@@ -23,6 +23,7 @@ class CURECON_PG_result(bpy.types.PropertyGroup):
     textured: BoolProperty(description="The surface is painted with the photos")
     filled: FloatProperty(description="Per cent of the surface's area that no photo measured, 0 to 100")
     scale: StringProperty()
+    scale_source: StringProperty(description="What the true scale rests on; empty when it is unknown")
     note: StringProperty()
 
 

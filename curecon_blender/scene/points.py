@@ -92,6 +92,24 @@ def spacing(points: np.ndarray) -> float:
     return float(np.median(distances)) if len(distances) else cell
 
 
+def positions(data: bpy.types.PointCloud | bpy.types.Mesh) -> np.ndarray:
+    """Every point's or vertex' place (N,3) float32 in its object's frame."""
+    attribute = data.attributes["position"]
+    found = np.empty((len(attribute.data), 3), np.float32)
+    attribute.data.foreach_get("vector", found.ravel())
+    return found
+
+
+def shown(item: bpy.types.Object) -> np.ndarray | None:
+    """Indices of the cloud's points that the viewport shows; None for all of them."""
+    return None
+
+
+def shown_key(item: bpy.types.Object) -> tuple[object, ...]:
+    """What `shown` depends on."""
+    return (item.data.session_uid, len(item.data.points))
+
+
 def about_the_subject(points: np.ndarray) -> np.ndarray:
     """Those of points (N,3) that a view should hold: photos show far land, too, and a view of all of it would show no
     building."""

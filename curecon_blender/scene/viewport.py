@@ -81,7 +81,7 @@ def frame(context: bpy.types.Context, item: bpy.types.Object) -> None:
     if (bounds := subject_bounds(item)) is None:
         return
     low, high = bounds
-    centre, size = (low + high) / 2, float(np.linalg.norm(high - low))
+    centre, size = (low + high) / 2, float(np.linalg.norm(high - low)) * item.matrix_world.median_scale
     for area in context.window.screen.areas if context.window is not None else ():
         if area.type != "VIEW_3D":
             continue

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import bpy
 
-from ..core import components
+from ..core import alignment, components
 from ..core.mesh import Mesh, filled_share, mesh_file, read_mesh, textured_folder
 from ..core.ply import read_cloud
-from ..core.types import Component, Frame
-from . import cameras, points, surface
+from ..core.types import Frame
+from . import cameras, frame, points, surface
 
 WORKSPACE_KEY = "curecon_workspace"  # on the collection: the workspace it was imported from
 
@@ -29,6 +29,7 @@ class Imported:
     filled: float
     cameras: tuple[bpy.types.Object, ...]
     frame: Frame
+    scale_source: str  # what the true scale rests on, in words; empty when it is unknown
     parts: int
     missing_pictures: int
 
@@ -56,6 +57,7 @@ def import_workspace(scene: bpy.types.Scene, folder: Path, *, pack: bool = False
     folder = folder.resolve()
     parts = components.read(folder)
     clouds = [read_cloud(path) if (path := folder / part.cloud).is_file() else None for part in parts]
+    adjustments = [alignment.read(folder / part.sparse) for part in parts]
     meshes = [_read_surface(folder, part.index) for part in parts]
 
     _remove_earlier(scene, folder)
@@ -64,9 +66,8 @@ def import_workspace(scene: bpy.types.Scene, folder: Path, *, pack: bool = False
     top[WORKSPACE_KEY] = str(folder)
     scene.collection.children.link(top)
     cloud_objects, surface_objects, camera_objects, missing = [], [], [], 0
-    for part, cloud, mesh in zip(parts, clouds, meshes, strict=True):
+    for part, cloud, mesh, adjustment in zip(parts, clouds, meshes, adjustments, strict=True):
         collection = top if len(parts) == 1 else _child(top, f"Part {part.index + 1}")
-        _describe(collection, part)
         holder = _child(collection, "Cameras")
         holder[cameras.CAMERAS_KEY] = True
         size = cameras.display_size(part.views) if part.views else 1.0
@@ -80,19 +81,18 @@ def import_workspace(scene: bpy.types.Scene, folder: Path, *, pack: bool = False
         if mesh is not None:
             label = "Surface" if len(parts) == 1 else f"Surface {part.index + 1}"
             surface_objects.append(surface.add(*mesh, label, collection, pack=pack))
-            _describe(surface_objects[-1], part)  # exported on its own, it keeps its frame
+        frame.set_up(collection, part, folder, adjustment)
     if camera_objects:
         scene.camera = camera_objects[0]
         cameras.fit_render(scene, camera_objects[0])
-    if parts and parts[0].frame.scale == "metres":
-        scene.unit_settings.system, scene.unit_settings.length_unit = "METRIC", "METERS"
-        scene.unit_settings.scale_length = 1.0
-    elif parts:
-        scene.unit_settings.system = "NONE"  # lengths that nobody measured must not read as metres
+    placed = [part for part in frame.parts_of(scene) if part.collection in {top, *top.children}]
+    if placed:
+        frame.show(scene, placed[0].frame)
     return Imported(
         collection=top, clouds=tuple(cloud_objects), surfaces=tuple(surface_objects), cameras=tuple(camera_objects),
         filled=filled_share(mesh for mesh, _ in filter(None, meshes)),
-        frame=parts[0].frame if parts else Frame(scale="unknown", up="given"), parts=len(parts),
+        frame=placed[0].frame if placed else Frame(scale="unknown", up="given"),
+        scale_source=placed[0].scale_source if placed else "", parts=len(parts),
         missing_pictures=missing,
     )
 
@@ -116,20 +116,6 @@ def _read_surface(folder: Path, index: int) -> tuple[Mesh, list[Path]] | None:
             mesh = read_mesh(path)
             return mesh, surface.pictures(mesh, path)
     return None
-
-
-def _describe(holder: bpy.types.Collection | bpy.types.Object, part: Component) -> None:
-    """Put what is known of the part's frame where the user and other tools can read it."""
-    frame = part.frame
-    holder["scale"], holder["up"], holder["north"] = frame.scale, frame.up, frame.north
-    if frame.origin is not None:
-        holder["origin_latitude"] = frame.origin.latitude
-        holder["origin_longitude"] = frame.origin.longitude
-        holder["origin_altitude"] = frame.origin.altitude
-    if frame.gps_residual is not None:
-        holder["gps_residual"] = frame.gps_residual
-    if frame.note:
-        holder["note"] = frame.note
 
 
 def _child(parent: bpy.types.Collection, name: str) -> bpy.types.Collection:

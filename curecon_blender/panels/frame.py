@@ -1,0 +1,86 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the site's scale, level and north rest on, setting them right, and measuring."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..core import alignment
+from ..scene import frame, measurements
+from .layout import Panel, paragraph
+
+
+class CURECON_PT_frame(Panel, bpy.types.Panel):
+    bl_idname = "CURECON_PT_frame"
+    bl_label = "Scale and Position"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return bool(frame.parts_of(context.scene))
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, part = self.layout, frame.part_of(context)
+        adjustment, known = part.adjustment, part.frame
+        box = layout.box()
+        if len(frame.parts_of(context.scene)) > 1:
+            box.label(text=part.collection.name, icon="OUTLINER_COLLECTION", translate=False)
+        scale = f"True scale from {part.scale_source}" if part.scale_source else "Scale unknown: do not measure"
+        paragraph(box, context, scale, icon="DRIVER_DISTANCE" if part.scale_source else "ERROR")
+        level = adjustment.of(alignment.LEVEL)
+        up = {"gps": "Level by GPS", "gravity": "Level as the cameras were held", "given": "Up as the model has it",
+              "measured": f"Level from {level.how}" if level is not None else ""}[known.up]
+        paragraph(box, context, up, icon="EMPTY_SINGLE_ARROW")
+        turn = adjustment.of(alignment.NORTH)
+        if known.north:
+            north = "Y is north" if turn is None else f"Y is north from {alignment.describe(turn)}"
+        else:
+            north = "North unknown"
+        paragraph(box, context, north, icon="ORIENTATION_GLOBAL" if known.north else "QUESTION")
+
+        column = layout.column(align=True)
+        column.operator("curecon.frame_scale", icon="DRIVER_DISTANCE")
+        row = column.row(align=True)
+        row.operator("curecon.frame_level", text="Level Floor", icon="MESH_PLANE").plane = "FLOOR"
+        row.operator("curecon.frame_level", text="Upright Wall", icon="MOD_SOLIDIFY").plane = "WALL"
+        row = column.row(align=True)
+        row.operator("curecon.frame_north", text="North", icon="ORIENTATION_GLOBAL")
+        row.operator("curecon.frame_turn", icon="LOOP_FORWARDS")
+        column.operator("curecon.frame_reset", icon="LOOP_BACK")
+
+
+class CURECON_UL_measurements(bpy.types.UIList):
+    """Measured distances."""
+
+    def draw_item(
+        self, context: bpy.types.Context, layout: bpy.types.UILayout, data: object, item: bpy.types.PropertyGroup,
+        icon: int, active_data: object, active_property: str, index: int,
+    ) -> None:
+        layout.label(text=f"{index + 1}   {measurements.in_words(context.scene, item)}", translate=False)
+
+
+class CURECON_PT_measure(Panel, bpy.types.Panel):
+    bl_idname = "CURECON_PT_measure"
+    bl_label = "Measure"
+    bl_parent_id = "CURECON_PT_frame"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, properties = self.layout, context.scene.curecon
+        row = layout.row(align=True)
+        row.scale_y = 1.3
+        row.operator("curecon.measure", icon="ARROW_LEFTRIGHT")
+        if not properties.measurements:
+            return
+        row = layout.row()
+        row.template_list("CURECON_UL_measurements", "", properties, "measurements", properties, "measurement_index",
+                          rows=min(5, max(2, len(properties.measurements))))
+        column = row.column(align=True)
+        column.operator("curecon.delete_measurement", text="", icon="REMOVE")
+        column.operator("curecon.delete_measurement", text="", icon="TRASH").all = True
+        column.operator("curecon.copy_measurements", text="", icon="COPYDOWN")
+        layout.prop(properties, "show_measurements", toggle=True, icon="HIDE_OFF")
+        paragraph(layout, context, "± holds 19 times out of 20: the points' spacing and scatter, and the scale.")
+
+
+CLASSES = (CURECON_PT_frame, CURECON_UL_measurements, CURECON_PT_measure)

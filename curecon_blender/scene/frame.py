@@ -1,0 +1,224 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Parts of a site in the scene, and the similarity that puts a part's frame right.
+
+A part is a component's collection. The adjustment stands on it as a custom property, which undo takes back with all
+else, and in the workspace, where imports find it; `keep_up` makes the file follow undo and redo.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import bpy
+import numpy as np
+from mathutils import Matrix, Vector
+
+from ..core import alignment
+from ..core.alignment import Adjustment
+from ..core.types import Component, Frame, GeoPosition
+from . import surface
+
+FRAME_KEY = "curecon_frame"  # on a part: its Frame as it was reconstructed, as JSON
+FOLDER_KEY = "curecon_sparse"  # on a part: the folder of its frame.json
+ADJUSTMENT_KEY = "curecon_adjustment"  # on a part: its Adjustment as JSON
+GPS_SIGMA_KEY = "curecon_gps_sigma"  # on a part: relative standard deviation of the scale that GPS gave it, if any
+_written: dict[str, str] = {}  # what this session last wrote, by folder
+
+
+@dataclass(frozen=True)
+class Part:
+    """A component in the scene."""
+
+    collection: bpy.types.Collection
+
+    @property
+    def folder(self) -> Path:
+        return Path(self.collection[FOLDER_KEY])
+
+    @property
+    def reconstructed(self) -> Frame:
+        fields = json.loads(self.collection[FRAME_KEY])
+        if fields["origin"] is not None:
+            fields["origin"] = GeoPosition(**fields["origin"])
+        return Frame(**fields)
+
+    @property
+    def adjustment(self) -> Adjustment:
+        return alignment.from_json(self.collection[ADJUSTMENT_KEY])
+
+    @property
+    def frame(self) -> Frame:
+        """What is known of the part as it stands in the scene."""
+        return alignment.adjusted_frame(self.reconstructed, self.adjustment)
+
+    @property
+    def scale_source(self) -> str:
+        """What the true scale rests on, in words; empty when the scale is unknown."""
+        return alignment.scale_source(self.reconstructed, self.adjustment)
+
+    @property
+    def scale_sigma(self) -> float | None:
+        """Relative standard deviation of the scale; None when nothing tells it."""
+        step = self.adjustment.of(alignment.SCALE)
+        sigma: float | None = self.collection.get(GPS_SIGMA_KEY) if step is None else step.sigma
+        return sigma
+
+    @property
+    def clouds(self) -> list[bpy.types.Object]:
+        return [item for item in self.collection.all_objects if item.type == "POINTCLOUD"]
+
+    @property
+    def above(self) -> np.ndarray:
+        """The middle (3,) of the cameras, in the world; the origin raised when there are none."""
+        centres = [world_matrix(item).translation for item in self.collection.all_objects if item.type == "CAMERA"]
+        return np.mean([list(centre) for centre in centres], axis=0) if centres else np.array([0.0, 0.0, 1.0])
+
+    @property
+    def moved(self) -> Matrix:
+        """world_from_frame: by how much the user has moved the part's points away from where its frame has them."""
+        shown = [item for item in self.collection.all_objects if item.type == "POINTCLOUD" or surface.is_surface(item)]
+        shown.sort(key=lambda item: item.hide_viewport)  # a hidden object does not follow when the user moves things
+        if not shown:
+            return Matrix.Identity(4)
+        return world_matrix(shown[0]) @ Matrix(self.adjustment.matrix.tolist()).inverted()
+
+    def local(self, place: np.ndarray) -> np.ndarray:
+        """A place (3,) of the world in the part's frame as it is adjusted now."""
+        return np.array(self.moved.inverted() @ Vector(place.tolist()))
+
+
+def parts_of(scene: bpy.types.Scene) -> list[Part]:
+    """The scene's parts, in the order of their import, largest of a workspace first."""
+    return [Part(collection) for collection in scene.collection.children_recursive if FRAME_KEY in collection]
+
+
+def world_matrix(item: bpy.types.Object) -> Matrix:
+    """Where an object stands; after an undo Blender leaves `matrix_world` of hidden ones as it was."""
+    return item.matrix_basis.copy() if item.parent is None else item.matrix_world.copy()
+
+
+def part_of(context: bpy.types.Context) -> Part:
+    """The part that holds the active object, else the first of a scene that has any."""
+    found = parts_of(context.scene)
+    active = context.active_object
+    holding = [part for part in found if active is not None and active.name in part.collection.all_objects]
+    return (holding or found)[0]
+
+
+def part_in(scene: bpy.types.Scene, folder: str) -> Part | None:
+    """The part whose frame.json lies in `folder`."""
+    return next((part for part in parts_of(scene) if str(part.folder) == folder), None)
+
+
+def part_at(scene: bpy.types.Scene, place: np.ndarray) -> Part:
+    """The part whose points lie nearest to `place` (3,) in the world, of a scene that has any."""
+    found = parts_of(scene)
+    if len(found) == 1:
+        return found[0]
+
+    def distance(part: Part) -> float:
+        nearest = np.inf
+        for item in part.collection.all_objects:
+            if item.type in {"MESH", "POINTCLOUD"} and (attribute := item.data.attributes.get("position")) is not None:
+                positions = np.empty((len(attribute.data), 3), np.float32)
+                attribute.data.foreach_get("vector", positions.ravel())
+                local = np.array(world_matrix(item).inverted() @ Vector(place.tolist()), np.float32)
+                if len(positions):
+                    gap = float(np.sqrt(((positions - local) ** 2).sum(axis=1).min()))
+                    nearest = min(nearest, gap * world_matrix(item).median_scale)
+        return nearest
+
+    return min(found, key=distance)
+
+
+def set_up(collection: bpy.types.Collection, component: Component, workspace: Path, adjustment: Adjustment) -> None:
+    """Make the collection of a component just brought in a part, in the frame that its workspace keeps for it."""
+    collection[FRAME_KEY] = json.dumps(asdict(component.frame))
+    collection[FOLDER_KEY] = str(workspace / component.sparse)
+    centres = np.array([view.centre for view in component.views]).reshape(-1, 3)
+    if (sigma := alignment.gps_scale_sigma(component.frame, centres)) is not None:
+        collection[GPS_SIGMA_KEY] = sigma
+    _put(collection, adjustment)
+    for item in list(collection.all_objects):
+        _move(item, Matrix(adjustment.matrix.tolist()))
+
+
+def adjust(scene: bpy.types.Scene, part: Part, adjustment: Adjustment) -> None:
+    """Give a part another adjustment: keep it in its workspace, then move all that is the part's.
+
+    Everything in the part's collection moves, the region box with the first part, and the part's measured distances.
+    Raises WorkspaceError, before anything has moved, when the workspace cannot be written.
+    """
+    alignment.write(part.folder, adjustment)
+    _written[str(part.folder)] = alignment.to_json(adjustment)
+    before, moved, first = part.adjustment, part.moved, parts_of(scene)[0] == part
+    step = moved @ Matrix((adjustment.matrix @ np.linalg.inv(before.matrix)).tolist()) @ moved.inverted()
+    _put(part.collection, adjustment)
+    items = list(part.collection.all_objects)
+    properties = scene.curecon
+    if first and properties.region is not None and properties.region not in items:
+        items.append(properties.region)
+    for item in items:
+        _move(item, step)
+    for measurement in properties.measurements:
+        if measurement.part == str(part.folder):
+            measurement.first, measurement.second = step @ measurement.first, step @ measurement.second
+            measurement.spread *= step.median_scale
+    if first:
+        show(scene, part.frame)
+        properties.result.scale, properties.result.note = part.frame.scale, part.frame.note
+        properties.result.scale_source = part.scale_source
+
+
+def show(scene: bpy.types.Scene, frame: Frame) -> None:
+    """Let lengths read as metres, or as plain numbers where nobody measured them."""
+    if frame.scale == "metres":
+        scene.unit_settings.system, scene.unit_settings.length_unit = "METRIC", "METERS"
+        scene.unit_settings.scale_length = 1.0
+    else:
+        scene.unit_settings.system = "NONE"
+
+
+def keep_up(scene: bpy.types.Scene) -> None:
+    """After an undo or a redo: what this session wrote into workspaces becomes what the scene says again."""
+    for part in parts_of(scene):
+        folder, text = str(part.folder), part.collection[ADJUSTMENT_KEY]
+        if _written.get(folder, text) != text:
+            alignment.write(part.folder, part.adjustment)
+            _written[folder] = text
+
+
+def _put(collection: bpy.types.Collection, adjustment: Adjustment) -> None:
+    """Write the adjustment on a part, and what is then known of its frame also on its surfaces, which keep it when they
+    are exported on their own."""
+    collection[ADJUSTMENT_KEY] = alignment.to_json(adjustment)
+    frame = Part(collection).frame
+    known = {"scale": frame.scale, "up": frame.up, "north": frame.north, "note": frame.note or None,
+             "gps_residual": frame.gps_residual}
+    if frame.origin is not None:
+        known |= {f"origin_{name}": value for name, value in asdict(frame.origin).items()}
+    for holder in (collection, *filter(surface.is_surface, collection.all_objects)):
+        for name, value in known.items():
+            if value is not None:
+                holder[name] = value
+            elif name in holder:
+                del holder[name]
+
+
+def _move(item: bpy.types.Object, step: Matrix) -> None:
+    """Move an object by a similarity; what hangs on a parent comes along by itself."""
+    if item.parent is not None:
+        return
+    moved = step @ item.matrix_basis
+    if item.type != "CAMERA":
+        item.matrix_world = moved
+        return
+    # A camera has no size: what is in world units grows instead.
+    place, turn, _ = moved.decompose()
+    item.matrix_world = Matrix.LocRotScale(place, turn, item.scale)
+    scale = step.median_scale
+    item.data.display_size *= scale
+    item.data.clip_start, item.data.clip_end = item.data.clip_start * scale, item.data.clip_end * scale

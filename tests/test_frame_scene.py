@@ -1,0 +1,15 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Frame tools, measuring and cloud tools in Blender 4.5 LTS and 5.2 LTS."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from test_extension import blender, run_script  # noqa: F401
+
+
+def test_the_frame_tools_move_the_whole_site_and_are_kept(blender: Path, tmp_path: Path) -> None:  # noqa: F811
+    work = tmp_path / "work"
+    work.mkdir()
+    run_script(blender, "check_frame.py", work, resources=tmp_path / "user")
