@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from test_extension import blender, run_script  # noqa: F401
 
-from curecon_blender.core import capture, sun
+from curecon_blender.core import camera_path, capture, sun
 from curecon_blender.core.errors import WorkspaceError
 
 GREENWICH = (51.4779, 0.0)
@@ -75,3 +75,76 @@ def test_capture_times_come_in_order_and_say_what_is_known_of_their_zone(tmp_pat
 
 def test_the_sun_falls_as_on_the_day_of_the_photos(blender: Path, tmp_path: Path) -> None:  # noqa: F811
     run_script(blender, "check_present_sun.py", tmp_path, resources=tmp_path / "user")
+
+
+def angles_between(rotations: np.ndarray) -> np.ndarray:
+    """Degrees from each frame's view to the next's, and from the last to the first."""
+    cosines = np.abs(np.sum(rotations * np.roll(rotations, -1, axis=0), axis=1)).clip(0, 1)
+    return np.degrees(2 * np.arccos(cosines))
+
+
+def view_of(rotation: np.ndarray) -> np.ndarray:
+    """The direction (3,) in which a camera with this quaternion looks."""
+    w, x, y, z = rotation
+    return -np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
+
+
+def test_an_orbit_is_even_closes_and_looks_at_the_middle() -> None:
+    centre = np.array([3.0, -2, 1])
+    path = camera_path.orbit(centre, 20.0, 8.0, 90.0, 100)
+    np.testing.assert_allclose(path.places[0], centre + [20, 0, 8], atol=1e-9)  # 90 degrees is east
+    np.testing.assert_allclose(path.places[25], centre + [0, -20, 8], atol=1e-9)  # then south
+    steps = np.linalg.norm(path.places - np.roll(path.places, -1, axis=0), axis=1)
+    assert np.ptp(steps) < 1e-9 and np.ptp(angles_between(path.rotations)) < 1e-4
+    for place, rotation in zip(path.places, path.rotations, strict=True):
+        np.testing.assert_allclose(view_of(rotation), (centre - place) / np.linalg.norm(centre - place), atol=1e-9)
+
+
+def test_a_crane_shot_rises_gently_in_one_line() -> None:
+    path = camera_path.crane(np.zeros(3), 20.0, -1.0, 10.0, 180.0, 50)
+    np.testing.assert_allclose(path.places[[0, -1]], [[0, -20, -1], [0, -20, 10]], atol=1e-9)
+    rises = np.diff(path.places[:, 2])
+    assert np.all(rises > 0) and rises[0] < rises.max() / 5 and rises[-1] < rises.max() / 5
+
+
+def test_a_flight_along_real_cameras_is_even_and_smooth() -> None:
+    # An uneven orbit with shaking hands, a photo taken twice, then a row of pictures straight down.
+    rng = np.random.default_rng(3)
+    angles = np.cumsum(rng.uniform(5, 25, 20))
+    ring = np.stack([30 * np.sin(np.radians(angles)), 30 * np.cos(np.radians(angles)), np.full(20, 15.0)], axis=1)
+    ring += rng.normal(0, 0.5, ring.shape)
+    ring[7] = ring[6]
+    row = np.stack([np.linspace(-20, 20, 8), np.zeros(8), np.full(8, 40.0)], axis=1)
+    rotations = np.concatenate([camera_path.look_at(ring, np.zeros(3)), np.tile([1.0, 0, 0, 0], (8, 1))])
+    rotations[::3] *= -1  # the same rotations, of the other sign
+    places = np.concatenate([ring, row])
+    path = camera_path.fly_through(places, rotations, 300)
+    np.testing.assert_allclose(path.places[[0, -1]], places[[0, -1]], atol=1e-6)
+    assert np.abs(np.sum(path.rotations[[0, -1]] * rotations[[0, -1]], axis=1)).min() > 0.9999
+    steps = np.linalg.norm(np.diff(path.places, axis=0), axis=1)
+    assert steps.max() < 1.1 * np.median(steps) and angles_between(path.rotations)[:-1].max() < 4
+    assert np.mean(np.abs(steps / np.median(steps) - 1) < 0.02) > 0.7  # mostly at one speed
+    assert np.linalg.norm(np.diff(path.places, 2, axis=0), axis=1).max() < 0.25 * np.median(steps)  # no corners
+    nearest = np.linalg.norm(places[:, None] - path.places, axis=2).min(axis=1)
+    assert nearest.max() < 8  # it stays with the cameras
+    with pytest.raises(ValueError, match="do not move"):
+        camera_path.fly_through(np.zeros((3, 3)), rotations[:3], 10)
+
+
+def test_quaternions_are_those_of_the_matrices() -> None:
+    rng = np.random.default_rng(1)
+    expected = rng.normal(size=(200, 4))
+    expected /= np.linalg.norm(expected, axis=1, keepdims=True)
+    expected[0] = [0, 1, 0, 0]
+    w, x, y, z = expected.T
+    matrices = np.stack([
+        np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], axis=1),
+        np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], axis=1),
+        np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1),
+    ], axis=1)
+    found = camera_path.quaternions(matrices)
+    np.testing.assert_allclose(np.abs(np.sum(found * expected, axis=1)), 1, atol=1e-9)
+
+
+def test_cameras_move_and_photos_lie_over_the_scene(blender: Path, tmp_path: Path) -> None:  # noqa: F811
+    run_script(blender, "check_present_cameras.py", tmp_path, resources=tmp_path / "user")

@@ -107,10 +107,7 @@ class CURECON_OT_look_through(bpy.types.Operator):
         return cameras.is_photo_camera(context.active_object)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        context.scene.camera = context.active_object
-        cameras.fit_render(context.scene, context.active_object)
-        if context.area is not None and context.area.type == "VIEW_3D":
-            context.area.spaces.active.region_3d.view_perspective = "CAMERA"
+        cameras.look_through(context, context.active_object)
         return {"FINISHED"}
 
 

@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import bpy
 
-from ..scene import daylight, site
+from ..operators.present_moves import KINDS
+from ..scene import cameras, daylight, site
 from .layout import Panel, paragraph
 
 
@@ -57,4 +58,33 @@ class CURECON_PT_present_sun(_Part, bpy.types.Panel):
             row.operator("curecon.remove_sun", text="", icon="X")
 
 
-CLASSES = (CURECON_PT_present, CURECON_PT_present_sun)
+class CURECON_PT_present_moves(_Part, bpy.types.Panel):
+    bl_idname = "CURECON_PT_present_moves"
+    bl_label = "Camera Moves"
+
+    def draw_part(self, context: bpy.types.Context, present: bpy.types.PropertyGroup) -> None:
+        column = self.layout.column(align=True)
+        column.prop(present, "seconds", text="Length (s)")
+        column.prop(present, "height")
+        column.prop(present, "start_angle")
+        row = self.layout.row(align=True)
+        for kind, label, _ in KINDS:
+            row.operator("curecon.move_camera", text=label).kind = kind
+
+
+class CURECON_PT_present_photos(_Part, bpy.types.Panel):
+    bl_idname = "CURECON_PT_present_photos"
+    bl_label = "Photo Overlay"
+
+    def draw_part(self, context: bpy.types.Context, present: bpy.types.PropertyGroup) -> None:
+        layout, camera = self.layout, context.scene.camera
+        row = layout.row(align=True)
+        row.operator("curecon.step_photo", text="", icon="TRIA_LEFT").back = True
+        row.label(text=camera.name if cameras.is_photo_camera(camera) else "No photo")
+        row.operator("curecon.step_photo", text="", icon="TRIA_RIGHT").back = False
+        layout.prop(present, "photo_opacity", slider=True)
+
+
+CLASSES = (
+    CURECON_PT_present, CURECON_PT_present_sun, CURECON_PT_present_moves, CURECON_PT_present_photos,
+)

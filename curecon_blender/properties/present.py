@@ -12,6 +12,14 @@ from math import pi
 import bpy
 from bpy.props import FloatProperty
 
+from ..scene import cameras
+
+
+def _overlay(present: CURECON_PG_present, context: bpy.types.Context) -> None:
+    camera = present.id_data.camera
+    if cameras.is_photo_camera(camera):
+        cameras.overlay(camera, present.photo_opacity)
+
 
 class CURECON_PG_present(bpy.types.PropertyGroup):
     hour_correction: FloatProperty(
@@ -32,6 +40,25 @@ class CURECON_PG_present(bpy.types.PropertyGroup):
         name="North", description="Where north lies when the photos do not tell it, -180 to 180 degrees clockwise from "
                                   "the scene's Y axis, seen from above",
         default=0.0, min=-pi, max=pi, subtype="ANGLE",
+    )
+    seconds: FloatProperty(
+        name="Length", description="Of a camera move, 1 to 600 seconds at the scene's frame rate",
+        default=12.0, min=1.0, max=600.0, step=100, precision=1,
+    )
+    height: FloatProperty(
+        name="Height",
+        description="Of the camera above the ground, 0 to 10 times the height of the building or of the region box",
+        default=2.5, min=0.0, max=10.0, step=10, precision=2,
+    )
+    start_angle: FloatProperty(
+        name="Start Angle", description="Where an orbit begins and a crane stands, 0 to 360 degrees clockwise from the "
+                                        "scene's Y axis, seen from above",
+        default=pi * 3 / 4, min=0.0, max=2 * pi, subtype="ANGLE",
+    )
+    photo_opacity: FloatProperty(
+        name="Opacity", description="Of the photo over the scene in its camera's view: 0 shows the scene alone, 1 the "
+                                    "photo alone",
+        default=0.5, min=0.0, max=1.0, subtype="FACTOR", update=_overlay,
     )
 
 

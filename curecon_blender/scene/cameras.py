@@ -72,6 +72,20 @@ def fit_render(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:
     render.pixel_aspect_x, render.pixel_aspect_y = max(1.0, 1 / aspect), max(1.0, aspect)
 
 
+def look_through(context: bpy.types.Context, camera: bpy.types.Object) -> None:
+    """Let the scene, its renders and the 3D viewport that the user is in look through a photo's camera."""
+    context.scene.camera = camera
+    fit_render(context.scene, camera)
+    if context.area is not None and context.area.type == "VIEW_3D":
+        context.area.spaces.active.region_3d.view_perspective = "CAMERA"
+
+
+def overlay(camera: bpy.types.Object, opacity: float) -> None:
+    """Lay a camera's photo over the scene in its view: `opacity` 0 shows the scene alone, 1 the photo alone."""
+    for background in camera.data.background_images:
+        background.display_depth, background.alpha = "FRONT", opacity
+
+
 def is_photo_camera(candidate: bpy.types.Object | None) -> bool:
     return candidate is not None and candidate.type == "CAMERA" and SIZE_KEY in candidate.data
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The sun of the photos falls as it fell on their day, and is moved and taken away without litter. Argument: a folder."""
+"""The sun falls as on the photos' day, and is moved and taken away without litter. Argument: a folder."""
 
 from __future__ import annotations
 

@@ -1,0 +1,66 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Cameras that move: about the building, along the photos, and up."""
+
+# mypy: disable-error-code="valid-type"
+# Blender reads its properties from annotations that are calls.
+
+from __future__ import annotations
+
+import bpy
+from bpy.props import EnumProperty
+
+from ..core import capture
+from ..core.errors import CuReconError, WorkspaceError
+from ..scene import flight, site
+from . import places, running
+
+KINDS = (
+    ("ORBIT", "Orbit", "Once around the building or the region box, in a loop"),
+    ("FLIGHT", "Fly-Through", "Along the photos' own cameras in order of capture, smoothly and at one speed"),
+    ("CRANE", "Crane", "Up on one side of the building, looking at it all the while"),
+)
+
+
+class CURECON_OT_move_camera(bpy.types.Operator):
+    """Make a camera that moves, with a key on every frame.
+
+Made again, it takes the place of the earlier one"""
+
+    bl_idname = "curecon.move_camera"
+    bl_label = "Camera Move"
+    bl_options = {"REGISTER", "UNDO"}
+
+    kind: EnumProperty(name="Move", description="How the camera moves", items=KINDS, default="ORBIT")
+
+    @classmethod
+    def description(cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
+        return next(text for name, _, text in KINDS if name == properties.kind)
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if site.subject(context.scene) is None:
+            cls.poll_message_set("There is no cloud and no surface in the scene")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        scene = context.scene
+        try:
+            times = capture.read_times(places.absolute(scene.curecon.result.workspace))
+        except WorkspaceError as error:
+            times = {}
+            if self.kind == "FLIGHT":
+                self.report({"WARNING"}, f"{error.message} The photos are flown in order of their names.")
+        try:
+            camera = flight.make(scene, self.kind, times)
+        except CuReconError as error:
+            self.report({"ERROR"}, running.explain(error))
+            return {"CANCELLED"}
+        if context.area is not None and context.area.type == "VIEW_3D":
+            context.area.spaces.active.region_3d.view_perspective = "CAMERA"
+        self.report({"INFO"}, f"{camera.name}: {scene.frame_end} frames. Play it with the space bar.")
+        return {"FINISHED"}
+
+
+CLASSES = (CURECON_OT_move_camera,)

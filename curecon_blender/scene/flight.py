@@ -1,0 +1,109 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Camera moves as ordinary Blender cameras with a key on every frame."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from math import degrees
+
+import bpy
+import numpy as np
+
+from ..core import camera_path
+from ..core.camera_path import CameraPath
+from ..core.errors import SurfaceError
+from . import cameras, presentation, site
+
+LENS, SENSOR = 35.0, 36.0  # millimetres
+WIDE = 16 / 9  # a film's width over its height
+MARGIN = 1.05  # of the distance at which the building fills the picture
+FILM_SIZE = (1920, 1080)
+NAMES = {"ORBIT": "CU-Recon Orbit", "FLIGHT": "CU-Recon Flight", "CRANE": "CU-Recon Crane"}
+
+
+def make(scene: bpy.types.Scene, kind: str, times: dict[str, datetime]) -> bpy.types.Object:
+    """The camera of one of the moves in NAMES, in place of the one that an earlier call made; the scene looks through
+    it and plays just its frames. `times` are the photos' capture times. Raises SurfaceError."""
+    present = scene.curecon.present
+    frames = max(2, round(present.seconds * scene.render.fps / scene.render.fps_base))
+    about = site.box(scene)
+    path = _along_photos(scene, times, frames) if kind == "FLIGHT" else _around(about, kind, present, frames)
+    camera = _camera(scene, kind, about)
+    _animate(camera, path)
+    scene.camera = camera
+    scene.frame_start, scene.frame_end = 1, frames
+    scene.frame_set(1)
+    render = scene.render
+    render.resolution_x, render.resolution_y = FILM_SIZE
+    render.pixel_aspect_x = render.pixel_aspect_y = 1.0
+    return camera
+
+
+def in_order(scene: bpy.types.Scene, times: dict[str, datetime]) -> list[bpy.types.Object]:
+    """The scene's photo cameras in order of capture; those without a time come last, by name."""
+    order = {name: index for index, name in enumerate(times)}
+    photos = [item for item in scene.objects if cameras.is_photo_camera(item)]
+    # Blender may have added .001 to a name that another scene has, too.
+    return sorted(photos, key=lambda item: (order.get(item.name, order.get(item.name[:-4], len(order))), item.name))
+
+
+def look_from(about: site.Box, azimuth: float, height: float) -> tuple[np.ndarray, np.ndarray]:
+    """A place (3,) and rotation (4,) from which the box fills a film's picture: from `azimuth` (degrees, clockwise from
+    +Y), `height` above its middle in scene units."""
+    path = camera_path.orbit(about.centre, _distance(about, height), height, azimuth, 1)
+    return path.places[0], path.rotations[0]
+
+
+def new_lens(name: str, about: site.Box) -> bpy.types.Camera:
+    """A film camera's data, with clip planes for the box."""
+    data = bpy.data.cameras.new(name)
+    data.lens, data.sensor_fit, data.sensor_width = LENS, "HORIZONTAL", SENSOR
+    data.clip_start, data.clip_end = about.radius / 1000, about.radius * 100
+    return data
+
+
+def _around(about: site.Box, kind: str, present: bpy.types.PropertyGroup, frames: int) -> CameraPath:
+    height, start = (present.height - 0.5) * about.height, degrees(present.start_angle)
+    distance = _distance(about, height)
+    if kind == "ORBIT":
+        return camera_path.orbit(about.centre, distance, height, start, frames)
+    low = -0.4 * about.height  # a person's view of a two-storey house
+    return camera_path.crane(about.centre, distance, low, height, start, frames)
+
+
+def _distance(about: site.Box, height: float) -> float:
+    """How far off in plan the box's sphere just fits the picture's shorter side, from `height` above its middle."""
+    half_angle = np.arctan(SENSOR / (2 * LENS * WIDE))
+    reach = MARGIN * about.radius / np.sin(half_angle)
+    return float(np.sqrt(max(reach**2 - height**2, about.radius**2)))
+
+
+def _along_photos(scene: bpy.types.Scene, times: dict[str, datetime], frames: int) -> CameraPath:
+    found = in_order(scene, times)
+    places = np.array([item.matrix_world.translation for item in found]).reshape(-1, 3)
+    if len(found) < 2 or np.ptp(places, axis=0).max() <= 0:
+        raise SurfaceError(
+            "A fly-through needs at least two photo cameras in different places.",
+            remedy="Import the workspace again, or make an orbit.",
+        )
+    rotations = np.array([item.matrix_world.to_quaternion() for item in found])
+    return camera_path.fly_through(places, rotations, frames)
+
+
+def _camera(scene: bpy.types.Scene, kind: str, about: site.Box) -> bpy.types.Object:
+    """The move's camera without its keys; made again, it keeps the lens that the user gave it."""
+    camera = presentation.find(scene, kind)
+    if camera is None:
+        return presentation.put(scene, kind, new_lens(NAMES[kind], about))
+    if camera.animation_data is not None and camera.animation_data.action is not None:
+        bpy.data.actions.remove(camera.animation_data.action)
+    return camera
+
+
+def _animate(camera: bpy.types.Object, path: CameraPath) -> None:
+    camera.rotation_mode = "QUATERNION"
+    for frame, (place, rotation) in enumerate(zip(path.places, path.rotations, strict=True), start=1):
+        camera.location, camera.rotation_quaternion = place, rotation
+        camera.keyframe_insert("location", frame=frame)
+        camera.keyframe_insert("rotation_quaternion", frame=frame)

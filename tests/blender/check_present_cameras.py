@@ -1,0 +1,105 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Camera moves and the photo overlay, as a user meets them. Argument: a folder."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import bpy
+import numpy as np
+import surface_scene
+import workspace_scene
+from bpy_extras.object_utils import world_to_camera_view
+from mathutils import Vector
+
+import curecon_blender
+
+FOLDER = Path(sys.argv[1]) / "work"
+ORDER = ("quote'd.jpg", "照片 3.jpg", "DJI_0001.JPG", "with space.png")  # of capture; not that of the names
+
+
+def played(camera: bpy.types.Object) -> np.ndarray:
+    """Where the camera is on every frame: (F,3)."""
+    scene = bpy.context.scene
+    places = []
+    for frame in range(scene.frame_start, scene.frame_end + 1):
+        scene.frame_set(frame)
+        places.append(list(camera.matrix_world.translation))
+    return np.array(places)
+
+
+def sees(camera: bpy.types.Object, point: tuple[float, float, float]) -> bool:
+    x, y, z = world_to_camera_view(bpy.context.scene, camera, Vector(point))
+    return 0 < x < 1 and 0 < y < 1 and z > 0
+
+
+def litter() -> tuple[int, ...]:
+    return tuple(len(getattr(bpy.data, kind)) for kind in ("objects", "cameras", "actions", "collections", "curves"))
+
+
+curecon_blender.register()
+try:
+    bpy.ops.wm.read_homefile(use_empty=True)
+    assert not bpy.ops.curecon.move_camera.poll() and not bpy.ops.curecon.step_photo.poll()
+    workspace_scene.write(FOLDER)
+    surface_scene.write(FOLDER, textured=False)
+    photos = [{"name": name, "time": f"2024-09-28T10:0{index}:00"} for index, name in enumerate(ORDER)]
+    (FOLDER / "photos.json").write_text(json.dumps({"photos": photos, "skipped": []}), encoding="utf-8")
+    bpy.ops.curecon.import_workspace(directory=str(FOLDER))
+    scene = bpy.context.scene
+    present = scene.curecon.present
+    present.seconds, present.height, present.start_angle = 2, 3, 0
+    corners = [(x, y, z) for x in (0, 10) for y in (0, 10) for z in (0, 1)]
+
+    assert bpy.ops.curecon.move_camera(kind="ORBIT") == {"FINISHED"}
+    assert scene.frame_end == round(2 * scene.render.fps) and scene.camera.name == "CU-Recon Orbit"
+    places = played(scene.camera)
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    assert np.ptp(steps) < 1e-3 * steps.mean() and np.ptp(places[:, 2]) < 1e-4
+    assert abs(places[0, 0] - 5) < 0.1 and places[0, 1] > 10  # north of the tent
+    for frame in (1, 15, 30):
+        scene.frame_set(frame)
+        assert all(sees(scene.camera, corner) for corner in corners), frame
+
+    assert bpy.ops.curecon.move_camera(kind="CRANE") == {"FINISHED"}
+    places = played(scene.camera)
+    assert np.all(np.diff(places[:, 2]) > 0) and np.ptp(places[:, :2], axis=0).max() < 1e-4
+
+    assert bpy.ops.curecon.move_camera(kind="FLIGHT") == {"FINISHED"}
+    places = played(scene.camera)
+    for end, name in ((0, ORDER[0]), (-1, ORDER[-1])):
+        np.testing.assert_allclose(places[end], bpy.data.objects[name].matrix_world.translation, atol=1e-3)
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    assert steps.max() < 1.5 * np.median(steps) and steps.min() > 0.3 * np.median(steps)
+
+    # Made again, nothing is left behind of the earlier ones; the user's lens stays.
+    scene.camera.data.lens = 24
+    before = litter()
+    for kind in ("ORBIT", "CRANE", "FLIGHT"):
+        bpy.ops.curecon.move_camera(kind=kind)
+    assert litter() == before and scene.camera.data.lens == 24
+
+    # About the region box where there is one.
+    bpy.ops.curecon.add_region()
+    scene.curecon.region.location, scene.curecon.region.scale = (30, 0, 0), (1, 1, 1)
+    bpy.context.view_layer.update()
+    bpy.ops.curecon.move_camera(kind="ORBIT")
+    np.testing.assert_allclose(played(scene.camera).mean(axis=0)[:2], [30, 0], atol=1e-3)
+
+    # Photo after photo in order of capture, around both ends, with the photo over the scene.
+    for expected in (ORDER[0], ORDER[1]):
+        assert bpy.ops.curecon.step_photo() == {"FINISHED"} and scene.camera.name == expected
+    for expected in (ORDER[0], ORDER[-1]):
+        assert bpy.ops.curecon.step_photo(back=True) == {"FINISHED"} and scene.camera.name == expected
+    assert (scene.render.resolution_x, scene.render.resolution_y) == workspace_scene.SIZE
+    present.photo_opacity = 0.25
+    (background,) = scene.camera.data.background_images
+    assert background.display_depth == "FRONT" and abs(background.alpha - 0.25) < 1e-6
+    bpy.ops.curecon.step_photo()
+    assert abs(scene.camera.data.background_images[0].alpha - 0.25) < 1e-6
+finally:
+    curecon_blender.unregister()
+print("CHECKED")
