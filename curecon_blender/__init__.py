@@ -28,11 +28,12 @@ def register() -> None:
 def unregister() -> None:
     import bpy
 
-    from . import operators, panels, preferences, properties
+    from . import operators, panels, preferences, properties, thumbnails
     from .operators import running
     from .scene import history, overlay, viewport
 
     running.close()
+    thumbnails.clear()
     history.stop()
     overlay.stop()
     viewport.stop()

@@ -73,6 +73,14 @@ def test_bad_input_is_an_error_in_words(blender: Path, tmp_path: Path) -> None:
     run_script(blender, "check_errors.py", work, resources=tmp_path / "user")
 
 
+@pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="this Python has no torch for the worker")
+def test_the_photo_check_and_presets(blender: Path, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    work.mkdir()
+    photos = ROOT / "samples" / "tulou" / "photos"
+    run_script(blender, "check_photo_check.py", photos, work, Path(sys.executable), resources=tmp_path / "user")
+
+
 def test_the_zip_installs_and_is_enabled(blender: Path, archive: Path, tmp_path: Path) -> None:
     work = tmp_path / "work"
     work.mkdir()

@@ -20,11 +20,12 @@ from . import (
     present_moves,
     present_photos,
     present_sun,
+    presets,
     reconstruct,
 )
 
 CLASSES = (
-    *choose_photos.CLASSES, *check_photos.CLASSES, *reconstruct.CLASSES, *import_workspace.CLASSES,
+    *choose_photos.CLASSES, *check_photos.CLASSES, *reconstruct.CLASSES, *presets.CLASSES, *import_workspace.CLASSES,
     *build_surface.CLASSES, *export_surface.CLASSES, *present_moves.CLASSES, *present_photos.CLASSES,
     *present_sun.CLASSES,
     *frame_scale.CLASSES, *frame_level.CLASSES, *frame_north.CLASSES, *frame_reset.CLASSES, *measure.CLASSES,

@@ -10,7 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import bpy
-from bpy.props import CollectionProperty, StringProperty
+from bpy.props import BoolProperty, CollectionProperty, StringProperty
 
 from ..core.errors import CuReconError
 from . import running
@@ -23,14 +23,24 @@ class CURECON_OT_choose_photos(bpy.types.Operator):
     bl_label = "Choose Photos"
     bl_options = {"UNDO"}
 
-    directory: StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE", "HIDDEN"})
-    files: CollectionProperty(type=bpy.types.OperatorFileListElement, options={"SKIP_SAVE", "HIDDEN"})
-    filter_folder: bpy.props.BoolProperty(default=True, options={"HIDDEN"})
-    filter_image: bpy.props.BoolProperty(default=True, options={"HIDDEN"})
+    directory: StringProperty(
+        name="Folder", description="The folder with the drone's photos", subtype="DIR_PATH",
+        options={"SKIP_SAVE", "HIDDEN"},
+    )
+    files: CollectionProperty(
+        type=bpy.types.OperatorFileListElement, name="Photos", description="Dropped photos: their folder is meant",
+        options={"SKIP_SAVE", "HIDDEN"},
+    )
+    filter_folder: BoolProperty(
+        name="Folders", description="The file browser shows folders", default=True, options={"HIDDEN"},
+    )
+    filter_image: BoolProperty(
+        name="Photos", description="The file browser shows photos", default=True, options={"HIDDEN"},
+    )
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return not running.status.running
+        return running.idle(cls)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if self.directory:  # photos were dropped

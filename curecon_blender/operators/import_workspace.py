@@ -10,7 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import bpy
-from bpy.props import StringProperty
+from bpy.props import BoolProperty, StringProperty
 
 from ..core.errors import CuReconError
 from ..scene import cameras, surface, viewport
@@ -59,12 +59,16 @@ class CURECON_OT_import_workspace(bpy.types.Operator):
     bl_label = "Import Workspace"
     bl_options = {"UNDO"}
 
-    directory: StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE"})
-    filter_folder: bpy.props.BoolProperty(default=True, options={"HIDDEN"})
+    directory: StringProperty(
+        name="Workspace", description="The folder that Reconstruct made", subtype="DIR_PATH", options={"SKIP_SAVE"},
+    )
+    filter_folder: BoolProperty(
+        name="Folders", description="The file browser shows folders", default=True, options={"HIDDEN"},
+    )
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return not running.status.running
+        return running.idle(cls)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         self.directory = context.scene.curecon.workspace
@@ -88,7 +92,10 @@ class CURECON_OT_frame_cloud(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return bool(surfaces_of(context.scene) or clouds_of(context.scene))
+        if surfaces_of(context.scene) or clouds_of(context.scene):
+            return True
+        cls.poll_message_set("There is no cloud and no surface in the scene")
+        return False
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         viewport.frame(context, [*surfaces_of(context.scene), *clouds_of(context.scene)][0])
@@ -104,7 +111,10 @@ class CURECON_OT_look_through(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return cameras.is_photo_camera(context.active_object)
+        if cameras.is_photo_camera(context.active_object):
+            return True
+        cls.poll_message_set("Select the camera of a photo first")
+        return False
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         cameras.look_through(context, context.active_object)

@@ -10,8 +10,24 @@ from pathlib import Path
 
 import bpy
 
+from .. import ADDON
 from ..core.errors import PhotoError
 from ..preferences import settings
+
+
+def photos_chosen(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """For an operator's poll: whether a photo folder has been chosen; where none has, the button says so."""
+    if not context.scene.curecon.photos:
+        operator.poll_message_set("Choose the folder with the drone's photos first")
+        return False
+    return True
+
+
+def speeds_file() -> Path:
+    """Where this computer's speed is kept between jobs: the extension's own folder of the user."""
+    if ADDON.startswith("bl_ext."):
+        return Path(bpy.utils.extension_path_user(ADDON, create=True)) / "speeds.json"
+    return Path(bpy.utils.user_resource("CONFIG", path="curecon", create=True)) / "speeds.json"  # a source checkout
 
 
 def photos_folder(scene: bpy.types.Scene) -> Path:

@@ -50,7 +50,10 @@ class CURECON_OT_remove_sun(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return daylight.is_shining(context.scene)
+        if daylight.is_shining(context.scene):
+            return True
+        cls.poll_message_set("There is no sun of CU-Recon in the scene")
+        return False
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         daylight.remove(context.scene)

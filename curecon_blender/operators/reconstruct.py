@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import bpy
-from bpy.props import StringProperty
+from bpy.props import BoolProperty, StringProperty
 
 from ..core.errors import SparseError
 from ..core.options import SURFACE_STAGES
@@ -40,7 +40,7 @@ def job_arguments(context: bpy.types.Context, *, until: str) -> list[str]:
         arguments += ["--views", str(properties.views)]
     if chosen.memory_gib is not None:
         arguments += ["--memory", str(chosen.memory_gib)]
-    arguments += ["--until", until]
+    arguments += ["--speeds", str(places.speeds_file()), "--until", until]
     return [*arguments, *surface_arguments(context.scene)] if until in SURFACE_STAGES else arguments
 
 
@@ -54,6 +54,10 @@ A cancelled or broken run goes on where it stopped"""
     bl_options = {"UNDO"}
 
     task = "Reconstructing"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return running.idle(cls) and places.photos_chosen(cls, context)
 
     def workspace(self, context: bpy.types.Context) -> Path | None:
         return places.workspace_folder(context, context.scene)
@@ -79,7 +83,9 @@ class CURECON_OT_import_model(WorkerOperator, bpy.types.Operator):
     photos: StringProperty(
         name="Photos", description="The folder with the model's photos", subtype="DIR_PATH", options={"SKIP_SAVE"},
     )
-    filter_folder: bpy.props.BoolProperty(default=True, options={"HIDDEN"})
+    filter_folder: BoolProperty(
+        name="Folders", description="The file browser shows folders", default=True, options={"HIDDEN"},
+    )
 
     task = "Importing cameras"
 
@@ -127,7 +133,10 @@ class CURECON_OT_cancel(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return running.status.running and not running.status.cancelling
+        if not running.status.running or running.status.cancelling:
+            cls.poll_message_set("It is being cancelled" if running.status.running else "No job is running")
+            return False
+        return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         running.cancel()

@@ -23,7 +23,7 @@ STAGE_NAMES = {
 }
 
 status = Status()
-step = ""  # the panel that the job was started from and that shows its progress: "reconstruct" or "surface"
+step = ""  # the panel that the job was started from and that shows its progress: "photos", "reconstruct", "surface"
 _job: Job | None = None
 
 
@@ -36,6 +36,13 @@ def start(context: bpy.types.Context, task: str, arguments: list[str], workspace
         arguments, python=chosen.worker_python, import_paths=chosen.import_paths, log=log_path(workspace),
     )
     status.running = True
+
+
+def idle(operator: type[bpy.types.Operator]) -> bool:
+    """For an operator's poll: whether no job runs; where one does, the button says so."""
+    if status.running:
+        operator.poll_message_set("Another job of CU-Recon is running")
+    return not status.running
 
 
 def poll() -> bool:
@@ -116,7 +123,7 @@ class WorkerOperator:
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return not status.running
+        return idle(cls)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         if not self._start(context):

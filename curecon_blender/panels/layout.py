@@ -7,6 +7,8 @@ from __future__ import annotations
 import blf
 import bpy
 
+from .. import ADDON
+from ..core.messages import Failure
 from ..job import Status, duration
 from ..operators import running
 from ..operators.running import STAGE_NAMES
@@ -63,6 +65,15 @@ def paragraph(
         column.label(text=words, icon=(icon if index == 0 else "BLANK1") if icon != "NONE" else "NONE")
 
 
+def action(
+    layout: bpy.types.UILayout, operator: str, *, text: str = "", icon: str = "NONE"
+) -> bpy.types.OperatorProperties:
+    """The one next action of a step: a tall button."""
+    row = layout.row()
+    row.scale_y = 1.6
+    return row.operator(operator, text=text or None, icon=icon)
+
+
 def counted(count: int, noun: str) -> str:
     return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
 
@@ -84,6 +95,17 @@ def draw_outcome(layout: bpy.types.UILayout, context: bpy.types.Context, status:
         cancelled = status.failure.kind == "cancelled"
         paragraph(box, context, status.failure.message, icon="INFO" if cancelled else "CANCEL", alert=not cancelled)
         paragraph(box, context, status.failure.remedy)
+        _draw_remedy(box, context, status.failure)
+
+
+def _draw_remedy(layout: bpy.types.UILayout, context: bpy.types.Context, failure: Failure) -> None:
+    """The remedy as a button, where one can do it."""
+    if failure.kind == "photos":
+        layout.operator("curecon.choose_photos", icon="FILE_FOLDER")
+    elif failure.kind in ("setup", "device", "worker", "weights"):
+        layout.operator("preferences.addon_show", text="Open Preferences", icon="PREFERENCES").module = ADDON
+    elif failure.kind == "workspace":
+        layout.prop(context.scene.curecon, "workspace", text="", placeholder="Another Workspace Folder")
 
 
 def draw_progress(layout: bpy.types.UILayout, status: Status) -> None:

@@ -5,10 +5,26 @@
 from __future__ import annotations
 
 import bpy
+from bpy.app.translations import pgettext_iface as iface_
 
-from .layout import Panel, counted, paragraph
+from .. import thumbnails
+from ..operators import running
+from .layout import Panel, action, counted, draw_outcome, draw_progress, paragraph
 
 SHOWN_SKIPPED = 6
+SHOWN_NAMES = 200  # characters of a list of names
+
+
+class CURECON_UL_doubtful(bpy.types.UIList):
+    """Photos that are used although something is wrong with them."""
+
+    def draw_item(
+        self, context: bpy.types.Context, layout: bpy.types.UILayout, data: bpy.types.PropertyGroup,
+        item: bpy.types.PropertyGroup, icon: int, active_data: bpy.types.PropertyGroup, active_property: str,
+    ) -> None:
+        split = layout.split(factor=0.55)
+        split.label(text=item.name, icon_value=thumbnails.icon(item.thumbnail), translate=False)
+        split.label(text=item.problems)
 
 
 class CURECON_PT_photos(Panel, bpy.types.Panel):
@@ -16,42 +32,97 @@ class CURECON_PT_photos(Panel, bpy.types.Panel):
     bl_label = "Photos"
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, properties = self.layout, context.scene.curecon
-        layout.operator("curecon.choose_photos", icon="FILE_FOLDER")
+        layout, properties, status = self.layout, context.scene.curecon, running.status
+        ours = running.step == "photos"
         if not properties.photos:
+            action(layout, "curecon.choose_photos", icon="FILE_FOLDER")
             paragraph(layout, context, "Or drop photos on the viewport: their whole folder is taken.")
             return
-        layout.prop(properties, "photos", text="")
-        check = properties.check
-        if check.folder != properties.photos:
-            layout.operator("curecon.check_photos", icon="VIEWZOOM")
-            return
-        self._draw_check(context, check)
-        layout.operator("curecon.check_photos", text="Check Again", icon="FILE_REFRESH")
+        checked = properties.check.folder == properties.photos
+        row = layout.row(align=True)
+        row.enabled = not status.running
+        row.prop(properties, "photos", text="")
+        if checked:
+            row.operator("curecon.check_photos", text="", icon="FILE_REFRESH")
+        if status.running and ours:
+            draw_progress(layout, status)
+        elif checked:
+            self._draw_check(context, properties.check)
+        else:
+            action(layout, "curecon.check_photos", icon="VIEWZOOM")
+        if ours and status.failure is not None:
+            draw_outcome(layout, context, status)
 
     def _draw_check(self, context: bpy.types.Context, check: bpy.types.PropertyGroup) -> None:
         box = self.layout.box()
         column = box.column(align=True)
         column.label(text=f"{counted(check.photos, 'photo')}, {counted(check.cameras, 'camera')}", icon="CHECKMARK")
+        if check.taken_first:
+            column.label(text=_taken(check.taken_first, check.taken_last), icon="TIME", translate=False)
         if check.gps == check.photos:
-            gps = "GPS on all"
+            gps = iface_("GPS on all")
         elif check.gps:
-            gps = f"GPS on {check.gps} of {check.photos}"
+            gps = iface_("GPS on {} of {}").format(check.gps, check.photos)
         else:
-            gps = "No GPS: scale will be unknown"
+            gps = iface_("No GPS: scale will be unknown")
         column.label(text=gps, icon="WORLD")
         if check.gsd_mm:
-            column.label(text=f"About {check.gsd_mm:.0f} mm on the ground a pixel", icon="DRIVER_DISTANCE")
-        if check.blurred_count:
-            column.label(text=f"{check.blurred_count} blurred:", icon="ERROR")
-            paragraph(box, context, check.blurred if len(check.blurred) < 200 else f"{check.blurred[:200]}...")
-            column = box.column(align=True)
+            column.label(text=iface_("About {:.0f} mm on the ground a pixel").format(check.gsd_mm),
+                         icon="DRIVER_DISTANCE")
+        self._draw_overlap(context, box, check)
         if check.skipped:
-            column.label(text=f"{counted(len(check.skipped), 'file')} left out:", icon="ERROR")
+            paragraph(box, context, f"{counted(len(check.skipped), 'file')} left out:", icon="ERROR")
             for file in check.skipped[:SHOWN_SKIPPED]:
                 paragraph(box, context, f"{file.name}: {file.reason}")
             if len(check.skipped) > SHOWN_SKIPPED:
-                box.label(text=f"and {len(check.skipped) - SHOWN_SKIPPED} more")
+                box.label(text=iface_("and {} more").format(len(check.skipped) - SHOWN_SKIPPED))
+        if check.doubtful:
+            self._draw_doubtful(context, check)
+
+    def _draw_overlap(
+        self, context: bpy.types.Context, box: bpy.types.UILayout, check: bpy.types.PropertyGroup
+    ) -> None:
+        if check.forward < 0:
+            paragraph(
+                box, context, iface_("Overlap unknown: the photos do not tell {}.").format(check.overlap_unknown),
+                icon="OVERLAY",
+            )
+            return
+        if check.side < 0:
+            text = iface_("About {:.0f} % overlap with the next photo").format(check.forward)
+        else:
+            text = iface_("About {:.0f} % forward and {:.0f} % side overlap").format(check.forward, check.side)
+        paragraph(box, context, text, icon="OVERLAY")
+        if check.weak_count:
+            text = iface_("{} overlap less than 60 % with any other: {}").format(
+                counted(check.weak_count, "photo"), _shortened(check.weak))
+            paragraph(box, context, text, icon="ERROR")
+
+    def _draw_doubtful(self, context: bpy.types.Context, check: bpy.types.PropertyGroup) -> None:
+        box = self.layout.box()
+        text = iface_("{} look doubtful and will be used:").format(counted(len(check.doubtful), "photo"))
+        paragraph(box, context, text, icon="ERROR")
+        rows = min(len(check.doubtful), 5)
+        box.template_list("CURECON_UL_doubtful", "", check, "doubtful", check, "doubtful_index", rows=rows)
+        if check.doubtful_index < len(check.doubtful):
+            chosen = check.doubtful[check.doubtful_index]
+            if picture := thumbnails.icon(chosen.thumbnail):
+                box.template_icon(picture, scale=8.0)
+            box.operator("curecon.open_photo", icon="IMAGE_DATA").path = chosen.path
 
 
-CLASSES = (CURECON_PT_photos,)
+def _taken(first: str, last: str) -> str:
+    """The span of two ISO times, to the minute."""
+    (first_day, _, first_time), (last_day, _, last_time) = first.partition("T"), last.partition("T")
+    if first_day != last_day:
+        return f"{first_day} to {last_day}"
+    if first_time[:5] == last_time[:5]:
+        return f"{first_day}, {first_time[:5]}"
+    return f"{first_day}, {first_time[:5]} to {last_time[:5]}"
+
+
+def _shortened(names: str) -> str:
+    return names if len(names) <= SHOWN_NAMES else f"{names[:SHOWN_NAMES]}..."
+
+
+CLASSES = (CURECON_UL_doubtful, CURECON_PT_photos)

@@ -5,38 +5,87 @@
 from __future__ import annotations
 
 import bpy
+from bl_ui.utils import PresetPanel
+from bpy.app.translations import pgettext_iface as iface_
 
 from .. import ADDON
+from ..core.options import QUALITIES
 from ..job import duration
-from ..operators import running
-from .layout import AdvancedPanel, Panel, draw_outcome, draw_progress, gibibytes, paragraph
+from ..operators import presets, running
+from .layout import AdvancedPanel, Panel, action, draw_outcome, draw_progress, gibibytes, paragraph
+
+
+class CURECON_PT_presets(PresetPanel, bpy.types.Panel):
+    bl_label = "Reconstruct Presets"
+    bl_space_type = "VIEW_3D"
+    preset_subdir = presets.SUBFOLDER
+    preset_operator = "script.execute_preset"
+    preset_add_operator = "curecon.add_preset"
 
 
 class CURECON_PT_reconstruct(Panel, bpy.types.Panel):
     bl_idname = "CURECON_PT_reconstruct"
     bl_label = "Reconstruct"
 
+    def draw_header_preset(self, context: bpy.types.Context) -> None:
+        if not running.status.running:
+            CURECON_PT_presets.draw_panel_header(self.layout)
+
     def draw(self, context: bpy.types.Context) -> None:
         layout, properties, status = self.layout, context.scene.curecon, running.status
+        ours = running.step == "reconstruct"
+        if status.running and ours:
+            draw_progress(layout, status)
+        elif not properties.photos:
+            paragraph(layout, context, "Choose photos first.")
+        else:
+            self._draw_choice(context, properties)
+        if ours:
+            draw_outcome(layout, context, status)
+
+    def _draw_choice(self, context: bpy.types.Context, properties: bpy.types.PropertyGroup) -> None:
+        layout, check = self.layout, properties.check
         column = layout.column()
-        column.enabled = not status.running
+        column.enabled = not running.status.running
         column.row().prop(properties, "quality", text="")
         column.row().prop(properties, "goal", text="")
-        cost = properties.check.costs.get(properties.quality)
-        if cost is not None and properties.check.folder == properties.photos and not status.running:
-            paragraph(
-                layout, context, f"About {duration(cost.seconds)}, {gibibytes(cost.memory_gib)} of memory and "
-                f"{gibibytes(cost.disk_gib)} of disk",
-            )
-        if status.running and running.step == "reconstruct":
-            draw_progress(layout, status)
+        checked = check.folder == properties.photos
+        cost = check.costs.get(f"{properties.quality}:{properties.goal}") if checked else None
+        if cost is not None and not (properties.max_image_size or properties.views):  # it is of the quality's own
+            self._draw_cost(context, properties, cost)
+        if checked:
+            action(layout, "curecon.reconstruct", icon="PLAY")
+        else:  # the check is the next action
+            layout.operator("curecon.reconstruct", icon="PLAY")
+
+    def _draw_cost(
+        self, context: bpy.types.Context, properties: bpy.types.PropertyGroup, cost: bpy.types.PropertyGroup
+    ) -> None:
+        check = properties.check
+        text = iface_("About {}, {} of memory and {} of disk").format(
+            duration(cost.seconds), gibibytes(cost.memory_gib), gibibytes(cost.disk_gib))
+        if _fits(check, cost):
+            paragraph(self.layout, context, text)
+            return
+        box = self.layout.box()
+        paragraph(box, context, text)
+        if cost.memory_gib > check.free_memory_gib:
+            text = iface_("Only {} of memory are free").format(gibibytes(check.free_memory_gib))
+            paragraph(box, context, text, icon="ERROR", alert=True)
+        if cost.disk_gib > check.free_disk_gib:
+            text = iface_("Only {} of disk are free").format(gibibytes(check.free_disk_gib))
+            paragraph(box, context, text, icon="ERROR", alert=True)
+        lower = QUALITIES[: QUALITIES.index(properties.quality)]
+        fitting = [name for name in lower if _fits(check, check.costs[f"{name}:{properties.goal}"])]
+        if fitting:
+            text = iface_("Use {}").format(iface_(fitting[-1].capitalize()))
+            box.prop_enum(properties, "quality", fitting[-1], text=text)
         else:
-            row = layout.row()
-            row.scale_y = 1.6
-            row.enabled = bool(properties.photos)
-            row.operator("curecon.reconstruct", icon="PLAY")
-        if running.step == "reconstruct":
-            draw_outcome(layout, context, status)
+            paragraph(box, context, "No quality fits: free some, then check the photos again.")
+
+
+def _fits(check: bpy.types.PropertyGroup, cost: bpy.types.PropertyGroup) -> bool:
+    return cost.memory_gib <= check.free_memory_gib and cost.disk_gib <= check.free_disk_gib
 
 
 class CURECON_PT_advanced(AdvancedPanel, bpy.types.Panel):
@@ -55,4 +104,4 @@ class CURECON_PT_advanced(AdvancedPanel, bpy.types.Panel):
         layout.operator("preferences.addon_show", text="Device and Memory...", icon="PREFERENCES").module = ADDON
 
 
-CLASSES = (CURECON_PT_reconstruct, CURECON_PT_advanced)
+CLASSES = (CURECON_PT_presets, CURECON_PT_reconstruct, CURECON_PT_advanced)

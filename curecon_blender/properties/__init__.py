@@ -184,15 +184,17 @@ class CURECON_PG_scene(bpy.types.PropertyGroup):
     credit: StringProperty(
         name="Credit", description="Who is to be named with the model; written into exported files",
     )
-    check: PointerProperty(type=CURECON_PG_check)
-    result: PointerProperty(type=CURECON_PG_result)
-    measurements: CollectionProperty(type=CURECON_PG_measurement)
+    check: PointerProperty(type=CURECON_PG_check, name="Photo Check", description="What the photo check said")
+    result: PointerProperty(type=CURECON_PG_result, name="Result", description="What the last import brought")
+    measurements: CollectionProperty(
+        type=CURECON_PG_measurement, name="Distances", description="Distances that were measured in the scene",
+    )
     measurement_index: IntProperty(name="Distance", description="The chosen distance on the list", default=0, min=0)
     show_measurements: BoolProperty(
         name="Show Distances", description="Draw the measured distances over the viewports", default=True,
         update=_redraw,
     )
-    present: PointerProperty(type=CURECON_PG_present)
+    present: PointerProperty(type=CURECON_PG_present, name="Present", description="How the site is presented")
 
 
 CLASSES = (*photos.CLASSES, *result.CLASSES, *frame.CLASSES, *present.CLASSES, CURECON_PG_scene)

@@ -14,29 +14,75 @@ from bpy.props import CollectionProperty, FloatProperty, IntProperty, StringProp
 class CURECON_PG_skipped(bpy.types.PropertyGroup):
     """A file that the photo check left out. `name` is the file's."""
 
-    reason: StringProperty()
+    reason: StringProperty(name="Reason", description="Why the file cannot be used")
+
+
+class CURECON_PG_doubtful(bpy.types.PropertyGroup):
+    """A photo that is used although something is wrong with it. `name` is the photo's."""
+
+    path: StringProperty(name="File", description="The photo's file", subtype="FILE_PATH")
+    problems: StringProperty(name="Problems", description="What is wrong with the photo, in words")
+    thumbnail: StringProperty(
+        name="Thumbnail", description="A small picture of it, gone with the session that made it", subtype="FILE_PATH",
+    )
 
 
 class CURECON_PG_cost(bpy.types.PropertyGroup):
-    """What a quality would cost on this computer, roughly. `name` is the quality."""
+    """What a quality would cost on this computer, roughly. `name` is the quality and the result, "preview:mesh"."""
 
-    seconds: FloatProperty()
-    memory_gib: FloatProperty()
-    disk_gib: FloatProperty()
+    seconds: FloatProperty(name="Time", description="Seconds from start to end", min=0.0)
+    memory_gib: FloatProperty(name="Memory", description="Peak of the worker's memory in GiB", min=0.0)
+    disk_gib: FloatProperty(name="Disk", description="Size of the finished workspace in GiB", min=0.0)
 
 
 class CURECON_PG_check(bpy.types.PropertyGroup):
     """What the photo check said about the folder `folder`."""
 
-    folder: StringProperty()
-    photos: IntProperty()
-    cameras: IntProperty()
-    gps: IntProperty()
-    blurred: StringProperty(description="Names of the blurred photos")
-    blurred_count: IntProperty()
-    gsd_mm: FloatProperty(description="Ground sampling distance in millimetres, 0 when unknown")
-    skipped: CollectionProperty(type=CURECON_PG_skipped)
-    costs: CollectionProperty(type=CURECON_PG_cost)
+    folder: StringProperty(name="Folder", description="The folder that was checked; empty: none", subtype="DIR_PATH")
+    photos: IntProperty(name="Photos", description="Photos that can be used", min=0)
+    cameras: IntProperty(name="Cameras", description="Different cameras that took them", min=0)
+    gps: IntProperty(name="GPS", description="Photos that carry GPS", min=0)
+    taken_first: StringProperty(
+        name="First Photo", description="When the first photo was taken, ISO 8601 in the camera's time; empty: unknown",
+    )
+    taken_last: StringProperty(
+        name="Last Photo", description="When the last photo was taken, ISO 8601 in the camera's time; empty: unknown",
+    )
+    gsd_mm: FloatProperty(
+        name="Ground Sampling Distance", description="Millimetres on the ground per pixel; 0 when unknown", min=0.0,
+    )
+    forward: FloatProperty(
+        name="Forward Overlap", description="Per cent that a photo shares with the next, 0 to 100; -1 when unknown",
+        default=-1.0, min=-1.0, max=100.0,
+    )
+    side: FloatProperty(
+        name="Side Overlap",
+        description="Per cent that a photo shares with the next line of flight, 0 to 100; -1 when unknown",
+        default=-1.0, min=-1.0, max=100.0,
+    )
+    overlap_unknown: StringProperty(
+        name="Not Told", description="What the metadata does not tell, so that the overlap is unknown",
+    )
+    weak: StringProperty(name="Little Overlap", description="Names of photos that overlap too little with any other")
+    weak_count: IntProperty(name="Little Overlap", description="Photos that overlap too little with any other", min=0)
+    doubtful: CollectionProperty(
+        type=CURECON_PG_doubtful, name="Doubtful Photos", description="Blurred and badly exposed photos",
+    )
+    doubtful_index: IntProperty(
+        name="Doubtful Photo", description="The chosen one of the doubtful photos", default=0, min=0,
+    )
+    skipped: CollectionProperty(
+        type=CURECON_PG_skipped, name="Left Out", description="Files that cannot be used",
+    )
+    costs: CollectionProperty(
+        type=CURECON_PG_cost, name="Costs", description="Predicted time, memory and disk of each quality and result",
+    )
+    free_memory_gib: FloatProperty(
+        name="Free Memory", description="Memory in GiB that was free at the time of the check", min=0.0,
+    )
+    free_disk_gib: FloatProperty(
+        name="Free Disk", description="GiB that were free on the workspace's disk at the time of the check", min=0.0,
+    )
 
 
-CLASSES = (CURECON_PG_skipped, CURECON_PG_cost, CURECON_PG_check)
+CLASSES = (CURECON_PG_skipped, CURECON_PG_doubtful, CURECON_PG_cost, CURECON_PG_check)

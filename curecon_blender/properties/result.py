@@ -14,17 +14,17 @@ from bpy.props import BoolProperty, FloatProperty, IntProperty, StringProperty
 class CURECON_PG_result(bpy.types.PropertyGroup):
     """What the last import brought into the scene."""
 
-    workspace: StringProperty(subtype="DIR_PATH")
-    points: IntProperty()
-    cameras: IntProperty()
+    workspace: StringProperty(description="The folder that was imported; empty: none", subtype="DIR_PATH")
+    points: IntProperty(description="Points of all clouds")
+    cameras: IntProperty(description="Photos whose cameras were found")
     photos: IntProperty(description="Photos that were given; 0 when unknown")
-    parts: IntProperty()
+    parts: IntProperty(description="Parts of the site that do not connect with each other")
     faces: IntProperty(description="Faces of the surface; 0 when there is none")
     textured: BoolProperty(description="The surface is painted with the photos")
     filled: FloatProperty(description="Per cent of the surface's area that no photo measured, 0 to 100")
-    scale: StringProperty()
+    scale: StringProperty(description="\"metres\", or \"unknown\"")
     scale_source: StringProperty(description="What the true scale rests on; empty when it is unknown")
-    note: StringProperty()
+    note: StringProperty(description="What is known of scale and north, in words")
 
 
 CLASSES = (CURECON_PG_result,)

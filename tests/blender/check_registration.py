@@ -1,10 +1,12 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Every class is registered under its name, twice over, and nothing is left behind."""
+"""Every class is registered under its name, twice over, and nothing is left behind; every operator and property says
+what it is for, and every disabled button why it is."""
 
 from __future__ import annotations
 
 import importlib
+import inspect
 import pkgutil
 from typing import Any
 
@@ -25,6 +27,29 @@ def our_classes() -> list[Any]:
     return found
 
 
+def check_words(cls: Any) -> None:
+    """Tooltips of a registered class and of the properties that it declares itself."""
+    if issubclass(cls, bpy.types.Operator):
+        assert cls.__doc__, f"{cls.__name__} has no tooltip"
+        assert cls.bl_label[0].isupper(), f"{cls.__name__}: {cls.bl_label}"
+    for name in inspect.get_annotations(cls):
+        found = cls.bl_rna.properties.get(name)
+        if found is not None:
+            assert found.description, f"{cls.__name__}.{name} has no description"
+
+
+def check_disabled(cls: Any) -> bool:
+    """Whether the operator cannot be run in an empty scene; it then says why."""
+    operator = getattr(bpy.ops.curecon, cls.bl_idname.removeprefix("curecon."))
+    if operator.poll():
+        return False
+    try:
+        operator()
+    except RuntimeError as error:
+        assert "context is incorrect" not in str(error), f"{cls.__name__} does not say why it is disabled"
+    return True
+
+
 classes = our_classes()
 assert len(classes) > 12, classes
 for _ in range(2):
@@ -32,9 +57,11 @@ for _ in range(2):
     for cls in classes:
         assert cls.is_registered, f"{cls.__name__} is in no CLASSES"
         assert cls.__name__.startswith("CURECON_"), cls
+        check_words(cls)
         if issubclass(cls, bpy.types.Operator):
             assert cls.__name__ == f"CURECON_OT_{cls.bl_idname.removeprefix('curecon.')}", cls
-            assert cls.__doc__, f"{cls.__name__} has no tooltip"
+    disabled = [cls for cls in classes if issubclass(cls, bpy.types.Operator) and check_disabled(cls)]
+    assert len(disabled) > 5, disabled
     assert bpy.context.scene.curecon.quality == "standard"
     curecon_blender.unregister()
     assert not any(cls.is_registered for cls in classes)
