@@ -73,7 +73,7 @@ class CURECON_PT_photos(Panel, bpy.types.Panel):
         if check.skipped:
             paragraph(box, context, f"{counted(len(check.skipped), 'file')} left out:", icon="ERROR")
             for file in check.skipped[:SHOWN_SKIPPED]:
-                paragraph(box, context, f"{file.name}: {file.reason}")
+                paragraph(box, context, file.reason)
             if len(check.skipped) > SHOWN_SKIPPED:
                 box.label(text=iface_("and {} more").format(len(check.skipped) - SHOWN_SKIPPED))
         if check.doubtful:

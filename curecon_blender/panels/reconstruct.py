@@ -53,17 +53,18 @@ class CURECON_PT_reconstruct(Panel, bpy.types.Panel):
         cost = check.costs.get(f"{properties.quality}:{properties.goal}") if checked else None
         if cost is not None and not (properties.max_image_size or properties.views):  # it is of the quality's own
             self._draw_cost(context, properties, cost)
-        if checked:
+        if checked and not properties.result.points:
             action(layout, "curecon.reconstruct", icon="PLAY")
-        else:  # the check is the next action
+        else:  # the check is the next action, or what comes after the cloud
             layout.operator("curecon.reconstruct", icon="PLAY")
 
     def _draw_cost(
         self, context: bpy.types.Context, properties: bpy.types.PropertyGroup, cost: bpy.types.PropertyGroup
     ) -> None:
         check = properties.check
-        text = iface_("About {}, {} of memory and {} of disk").format(
-            duration(cost.seconds), gibibytes(cost.memory_gib), gibibytes(cost.disk_gib))
+        takes = iface_("About {}, {} of memory and {} of disk") if cost.seconds >= 60 else iface_(
+            "Takes {}, {} of memory and {} of disk")
+        text = takes.format(duration(cost.seconds), gibibytes(cost.memory_gib), gibibytes(cost.disk_gib))
         if _fits(check, cost):
             paragraph(self.layout, context, text)
             return
