@@ -13,3 +13,9 @@ def test_the_frame_tools_move_the_whole_site_and_are_kept(blender: Path, tmp_pat
     work = tmp_path / "work"
     work.mkdir()
     run_script(blender, "check_frame.py", work, resources=tmp_path / "user")
+
+
+def test_what_is_shown_of_a_cloud_and_what_is_taken_out(blender: Path, tmp_path: Path) -> None:  # noqa: F811
+    work = tmp_path / "work"
+    work.mkdir()
+    run_script(blender, "check_cloud.py", work, resources=tmp_path / "user")

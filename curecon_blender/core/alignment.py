@@ -18,6 +18,7 @@ import numpy as np
 
 from .errors import CuReconError, WorkspaceError
 from .files import disk_errors, write_json
+from .ply import Cloud
 from .types import Frame
 
 FILE_NAME = "adjustment.json"
@@ -192,6 +193,25 @@ def angle_between(first: Adjustment, second: Adjustment) -> float:
     """How far the second turns beyond the first, in degrees."""
     cosine = (np.trace(second.rotation @ first.rotation.T) - 1) / 2
     return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
+
+
+# ---- turning
+
+def rotation(quaternion: tuple[float, ...]) -> np.ndarray:
+    """The rotation (3,3) of a quaternion w, x, y, z of any length above zero."""
+    w, x, y, z = np.array(quaternion) / np.linalg.norm(quaternion)
+    return np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ])
+
+
+def turned_cloud(cloud: Cloud, turn: np.ndarray) -> Cloud:
+    """The cloud in axes to which `turn` (3,3) takes its own."""
+    return replace(
+        cloud, points=(cloud.points @ turn.T).astype(np.float32), normals=(cloud.normals @ turn.T).astype(np.float32)
+    )
 
 
 # ---- the file

@@ -56,6 +56,7 @@ class Options:
     fill_holes: bool = True  # close holes in the mesh, marked as filled; False leaves them open
     max_faces: int = 1_000_000  # of the mesh
     region: tuple[float, ...] | None = None  # the mesh's bounds in the site frame: x0, y0, z0, x1, y1, z1
+    region_turn: tuple[float, ...] | None = None  # quaternion w, x, y, z: turns the site frame to the region's axes
     texture_size: int = 4096  # pixels, side of a page
     texture_format: str = "png"  # png, jpeg
 

@@ -11,7 +11,7 @@ import shutil
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -186,8 +186,9 @@ class _Job:
         self._stage("fusion", inputs, run)
 
     def mesh(self) -> None:
+        from .alignment import rotation, turned_cloud
+        from .cloud_edits import edits_key, read_edited_cloud
         from .meshing import MeshOptions, build_mesh
-        from .ply import read_cloud
 
         options, root = self.options, self.workspace.root
         x0, y0, z0, x1, y1, z1 = options.region or (0.0,) * 6
@@ -195,15 +196,27 @@ class _Job:
         settings = MeshOptions(fill_holes=options.fill_holes, max_faces=options.max_faces, region=region)
 
         def build(component: Component) -> None:
+            cloud = read_edited_cloud(root / component.cloud)
+            turn = rotation(options.region_turn) if options.region_turn else None
             with scratch_folder(root / ".mesh") as scratch:
-                mesh = build_mesh(read_cloud(root / component.cloud), settings, scratch, self.reporter)
+                # Along the region's own axes, and back.
+                if turn is not None:
+                    cloud = turned_cloud(cloud, turn)
+                mesh = build_mesh(cloud, settings, scratch, self.reporter)
+            if turn is not None:
+                mesh = replace(mesh, vertices=(mesh.vertices @ turn).astype("float32"))
             write_mesh(root / mesh_file(component.index), mesh)
 
         def run() -> None:
             self._each_surface([c for c in self.components if (root / c.cloud).exists()], build)
             self._drop_surfaces(textures_only=True)  # they are of the mesh before
 
-        self._stage("mesh", asdict(settings), run)
+        inputs = asdict(settings)
+        if options.region_turn:
+            inputs["region_turn"] = options.region_turn
+        if any(edits := [edits_key(root / component.cloud) for component in self.components]):
+            inputs["edits"] = edits
+        self._stage("mesh", inputs, run)
 
     def texture(self) -> None:
         from .texturing import TextureOptions, texture_mesh

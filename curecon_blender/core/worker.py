@@ -139,6 +139,8 @@ def _parser() -> argparse.ArgumentParser:
         command.add_argument("--max-faces", type=int, default=default["max_faces"])
         command.add_argument("--region", type=float, nargs=6, metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"),
                              help="build the mesh of this part of the site only, in its frame")
+        command.add_argument("--region-turn", type=float, nargs=4, metavar=("W", "X", "Y", "Z"),
+                             help="a quaternion that turns the site's frame to the axes that --region counts along")
         command.add_argument("--texture-size", type=int, default=default["texture_size"], metavar="PIXELS",
                              help="side of a page of the texture")
         command.add_argument("--texture-format", choices=("png", "jpeg"), default=default["texture_format"])

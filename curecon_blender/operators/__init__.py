@@ -10,6 +10,7 @@ from . import (
     build_surface,
     check_photos,
     choose_photos,
+    cloud_points,
     export_surface,
     frame_level,
     frame_north,
@@ -29,6 +30,7 @@ CLASSES = (
     *build_surface.CLASSES, *export_surface.CLASSES, *present_moves.CLASSES, *present_photos.CLASSES,
     *present_sun.CLASSES,
     *frame_scale.CLASSES, *frame_level.CLASSES, *frame_north.CLASSES, *frame_reset.CLASSES, *measure.CLASSES,
+    *cloud_points.CLASSES,
 )
 
 

@@ -34,8 +34,11 @@ def surface_arguments(scene: bpy.types.Scene) -> list[str]:
             )
         shown = (item for item in [*surfaces_of(scene), *clouds_of(scene)] if not item.hide_viewport)
         reference = next(shown, None)  # a hidden object does not follow when the user moves things
+        bounds, turn = region.placed(properties.region, reference)
         # Never in exponents: the worker would take "-1e-05" for an option.
-        arguments += ["--region", *(f"{value:.6f}" for value in region.bounds(properties.region, reference))]
+        if turn.angle > 1e-6:
+            arguments += ["--region-turn", *(f"{value:.9f}" for value in turn)]
+        arguments += ["--region", *(f"{value:.6f}" for value in bounds)]
     return arguments
 
 

@@ -28,8 +28,8 @@ class CURECON_OT_frame_scale(PickingOperator, bpy.types.Operator):
     first: place_property("First")
     second: place_property("Second")
     length: FloatProperty(
-        name="Known Distance (m)", description="Between the two points, as measured on site, in metres", default=1.0, min=0.001, soft_max=100.0,
-        precision=3, step=10,
+        name="Known Distance (m)", description="Between the two points, as measured on site, in metres", default=1.0,
+        min=0.001, soft_max=100.0, precision=3, step=10,
     )
     known_to: FloatProperty(
         name="Known to ± (m)", description="How far that distance may be off, in metres (one standard deviation)",

@@ -49,6 +49,8 @@ def bring_in(
     report = f"{imported.points:,} points{faces} and {len(imported.cameras)} cameras are in the scene."
     if imported.missing_pictures:
         report += f" {imported.missing_pictures} pictures are missing in {folder}."
+    if imported.stale_edits:
+        report += " The cloud is new: points that were taken out of the earlier one are taken out no more."
     return report
 
 

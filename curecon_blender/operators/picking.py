@@ -60,6 +60,7 @@ class PickingOperator:
         self._area = context.area
         self._region = next(region for region in context.area.regions if region.type == "WINDOW")
         overlay.picked.clear()
+        picking.prepare(context)
         context.window.cursor_modal_set("CROSSHAIR")
         context.window_manager.modal_handler_add(self)
         self._say(context)

@@ -4,6 +4,9 @@
 
 from __future__ import annotations
 
-from . import frame, photos, present, reconstruct, result, surface
+from . import cloud, frame, photos, present, reconstruct, result, surface
 
-CLASSES = (*photos.CLASSES, *reconstruct.CLASSES, *result.CLASSES, *frame.CLASSES, *surface.CLASSES, *present.CLASSES)
+CLASSES = (
+    *photos.CLASSES, *reconstruct.CLASSES, *result.CLASSES, *cloud.CLASSES, *frame.CLASSES, *surface.CLASSES,
+    *present.CLASSES,
+)

@@ -21,7 +21,8 @@ from bpy.props import (
 from ..core.options import PRESETS
 from ..scene import cameras, surface, viewport
 from ..scene.workspace import clouds_of, hide
-from . import frame, photos, present, result
+from . import cloud, frame, photos, present, result
+from .cloud import CURECON_PG_cloud
 from .frame import CURECON_PG_measurement
 from .photos import CURECON_PG_check
 from .present import CURECON_PG_present
@@ -120,12 +121,12 @@ class CURECON_PG_scene(bpy.types.PropertyGroup):
         default=0, min=0, max=20,
     )
     display_fraction: FloatProperty(
-        name="Display", description="How much of the cloud the viewport shows in Solid shading; renders show all of it",
-        default=100.0, min=0.0, max=100.0, subtype="PERCENTAGE", precision=0, update=_redraw,
+        name="Display", description="How much of the cloud the viewports show, in per cent; renders show all of it",
+        default=100.0, min=0.0, max=100.0, subtype="PERCENTAGE", precision=0, update=cloud.apply,
     )
     point_size: FloatProperty(
-        name="Point Size", description="Size of the points in the viewport, relative to their spacing",
-        default=1.0, min=0.1, soft_max=4.0, max=20.0, step=10, precision=1, update=_redraw,
+        name="Point Size", description="Size of the points in viewports and renders, relative to their spacing",
+        default=1.0, min=0.1, soft_max=4.0, max=20.0, step=10, precision=1, update=cloud.apply,
     )
     show_cameras: BoolProperty(
         name="Cameras", description="Show the photos' cameras in the viewport", default=True, update=_show_cameras,
@@ -162,7 +163,9 @@ class CURECON_PG_scene(bpy.types.PropertyGroup):
     )
     region: PointerProperty(
         type=bpy.types.Object, name="Region Box", poll=_can_be_region,
-        description="An object whose bounds along the site's axes, in scene units, enclose what the mesh is made of",
+        description="An object whose bounds, along its own axes, enclose what the mesh is made of and what of the "
+                    "cloud is shown or cropped",
+        update=cloud.apply,
     )
     texture_size: EnumProperty(
         name="Page Size", description="Side of a page of the texture, from 1024 to 8192 pixels", items=TEXTURE_SIZES,
@@ -186,6 +189,7 @@ class CURECON_PG_scene(bpy.types.PropertyGroup):
     )
     check: PointerProperty(type=CURECON_PG_check, name="Photo Check", description="What the photo check said")
     result: PointerProperty(type=CURECON_PG_result, name="Result", description="What the last import brought")
+    cloud: PointerProperty(type=CURECON_PG_cloud, description="What of the clouds is shown")
     measurements: CollectionProperty(
         type=CURECON_PG_measurement, name="Distances", description="Distances that were measured in the scene",
     )
@@ -197,7 +201,7 @@ class CURECON_PG_scene(bpy.types.PropertyGroup):
     present: PointerProperty(type=CURECON_PG_present, name="Present", description="How the site is presented")
 
 
-CLASSES = (*photos.CLASSES, *result.CLASSES, *frame.CLASSES, *present.CLASSES, CURECON_PG_scene)
+CLASSES = (*photos.CLASSES, *cloud.CLASSES, *result.CLASSES, *frame.CLASSES, *present.CLASSES, CURECON_PG_scene)
 
 
 def attach() -> None:

@@ -7,7 +7,8 @@ from __future__ import annotations
 import bpy
 from bpy.app.handlers import persistent
 
-from . import frame
+from . import cloud_edits, frame
+from .workspace import clouds_of
 
 _EVENTS = ("undo_post", "redo_post")
 
@@ -26,3 +27,4 @@ def stop() -> None:
 def _follow(*_: object) -> None:
     for scene in bpy.data.scenes:
         frame.keep_up(scene)
+        cloud_edits.keep_up(clouds_of(scene))

@@ -11,7 +11,7 @@ from ..core.ply import Cloud
 
 COLOUR = "Color"  # Blender's own spelling, which other tools look for
 MATERIAL = "CU-Recon Colour"
-CLOUD_KEY = "curecon_cloud"  # marks the point clouds that viewport.py draws
+CLOUD_KEY = "curecon_cloud"  # on the point clouds that viewport.py draws: the points of their file
 VOXELS_PER_SPACING = 10  # about 20 points of a surface fall into a voxel of the radius estimate
 HASH_BITS = 24
 LARGEST_RADIUS = 1.5  # times the median: a lone point is no surface, and a big disc would hide what is behind it
@@ -24,10 +24,10 @@ SPACING_SAMPLES = 48
 def add(cloud: Cloud, name: str, collection: bpy.types.Collection) -> bpy.types.Object:
     """Link a PointCloud object with the cloud's points into `collection`.
 
-    Attributes: position, radius (world units, from the local spacing), Color (sRGB bytes), confidence in [0, 1] and
-    views. The points are stored in random order, so that any prefix of them is a fair sample of the whole.
+    Attributes: position, radius (world units, from the local spacing), Color (sRGB bytes), confidence in [0, 1],
+    views and normal. The points are stored in random order, so that any prefix of them is a fair sample of the whole.
     """
-    order = np.random.default_rng(0).permutation(len(cloud))
+    order = file_order(len(cloud))
     data = _new_pointcloud(name, len(cloud))
     colours = np.ones((len(cloud), 4), np.float32)
     np.divide(cloud.colours[order], 255, out=colours[:, :3], dtype=np.float32)
@@ -36,14 +36,20 @@ def add(cloud: Cloud, name: str, collection: bpy.types.Collection) -> bpy.types.
     _set(data, COLOUR, "BYTE_COLOR", "color_srgb", colours)
     _set(data, "confidence", "FLOAT", "value", cloud.confidence[order])
     _set(data, "views", "INT", "value", cloud.views[order].astype(np.int32))
+    _set(data, "normal", "FLOAT_VECTOR", "vector", cloud.normals[order])
     data.materials.append(colour_material())
-    data[CLOUD_KEY] = True
+    data[CLOUD_KEY] = len(cloud)
     item = bpy.data.objects.new(name, data)
     # As bounds Blender leaves the points out of Solid shading, where it would draw them grey; viewport.py draws them
     # there in colour. Material Preview and renders show the points themselves.
     item.display_type = "BOUNDS"
     collection.objects.link(item)
     return item
+
+
+def file_order(count: int) -> np.ndarray:
+    """Which point of its file (count,) each point of a cloud object is."""
+    return np.random.default_rng(0).permutation(count)
 
 
 def radii(points: np.ndarray) -> np.ndarray:
@@ -100,16 +106,6 @@ def positions(data: bpy.types.PointCloud | bpy.types.Mesh) -> np.ndarray:
     return found
 
 
-def shown(item: bpy.types.Object) -> np.ndarray | None:
-    """Indices of the cloud's points that the viewport shows; None for all of them."""
-    return None
-
-
-def shown_key(item: bpy.types.Object) -> tuple[object, ...]:
-    """What `shown` depends on."""
-    return (item.data.session_uid, len(item.data.points))
-
-
 def about_the_subject(points: np.ndarray) -> np.ndarray:
     """Those of points (N,3) that a view should hold: photos show far land, too, and a view of all of it would show no
     building."""
@@ -118,6 +114,18 @@ def about_the_subject(points: np.ndarray) -> np.ndarray:
     distance = np.linalg.norm(points - np.median(points, axis=0), axis=1)
     kept: np.ndarray = points[distance <= SUBJECT * np.median(distance)]
     return kept
+
+
+def subject_bounds(item: bpy.types.Object) -> tuple[np.ndarray, np.ndarray] | None:
+    """Lowest and highest x, y, z (3,) in the world of what most of a cloud or a surface is about; None for one without
+    points."""
+    places = positions(item.data)
+    if not len(places):
+        return None
+    matrix = np.array(item.matrix_world)
+    sample = places[:: max(1, len(places) // 100_000)] @ matrix[:3, :3].T + matrix[:3, 3]
+    low, high = np.percentile(about_the_subject(sample), [2, 98], axis=0)
+    return low, high
 
 
 def colour_material() -> bpy.types.Material:

@@ -16,30 +16,66 @@ import bpy
 import gpu
 import numpy as np
 from bpy.app.handlers import persistent
+from mathutils import Euler, Matrix, Vector
 
-from .points import CLOUD_KEY, COLOUR, about_the_subject
+from . import display
+from .points import CLOUD_KEY, COLOUR, positions, subject_bounds
+from .workspace import clouds_of
 
 MAX_POINT_PIXELS = 40.0
 MIN_POINT_PIXELS = 2.0
 MOVING_POINTS = 3_000_000  # drawn of all clouds together while the view moves; the rest follows when it rests
 REST_SECONDS = 0.25
 
-VERTEX_SOURCE = """
+RAMP_STEPS = 32
+# One block of 16-byte rows: Vulkan and Metal promise no more than 128 bytes of push constants.
+BLOCK = f"""
+struct CloudDisplay {{
+  mat4 clip_from_object;
+  mat4 region_from_object;
+  vec4 size;    // pixels of radius 1 at w = 1; smallest, largest
+  vec4 least;   // confidence, views; 1 to show the region only; what to colour by, as in COLOURS
+  vec4 value;   // height above the world's floor of (x, y, z, 1) in the object's frame
+  vec4 range;   // the ramp's low and high end
+  vec4 ramp[{RAMP_STEPS}];
+}};
+"""
+COLOURS = (display.PHOTO, display.HEIGHT, display.CONFIDENCE, display.VIEWS, display.NORMAL)
+VERTEX_SOURCE = f"""
 void main()
-{
-  gl_Position = clip_from_object * vec4(position, 1.0);
+{{
+  vec3 cube = abs((show.region_from_object * vec4(position, 1.0)).xyz);
+  bool outside = max(cube.x, max(cube.y, cube.z)) > 1.0;
+  if (quality.x < show.least.x || quality.y < show.least.y || (show.least.z > 0.5 && outside)) {{
+    gl_Position = vec4(2.0, 2.0, 2.0, 1.0);  // outside of every view
+    gl_PointSize = 1.0;
+    shown = vec4(0.0);
+    return;
+  }}
+  gl_Position = show.clip_from_object * vec4(position, 1.0);
   // The point's size in pixels at its depth, so that a near cloud closes to a surface.
-  gl_PointSize = clamp(radius * size.x / gl_Position.w, size.y, size.z);
-  // sRGB to the viewport's linear colours.
-  vec3 low = colour.rgb / 12.92;
-  vec3 high = pow((colour.rgb + 0.055) / 1.055, vec3(2.4));
-  shown = vec4(mix(low, high, step(vec3(0.04045), colour.rgb)), 1.0);
-}
+  gl_PointSize = clamp(radius * show.size.x / gl_Position.w, show.size.y, show.size.z);
+  int by = int(show.least.w + 0.5);
+  if (by == 0) {{  // sRGB to the viewport's linear colours
+    vec3 low = colour.rgb / 12.92;
+    vec3 high = pow((colour.rgb + 0.055) / 1.055, vec3(2.4));
+    shown = vec4(mix(low, high, step(vec3(0.04045), colour.rgb)), 1.0);
+  }}
+  else if (by == 4) {{
+    shown = vec4(normal.xyz * 0.5 + 0.5, 1.0);
+  }}
+  else {{
+    float value = by == 1 ? dot(show.value, vec4(position, 1.0)) : by == 2 ? quality.x : quality.y;
+    float place = clamp((value - show.range.x) / (show.range.y - show.range.x), 0.0, 1.0) * {RAMP_STEPS - 1}.0;
+    int step_below = min(int(place), {RAMP_STEPS - 2});
+    shown = mix(show.ramp[step_below], show.ramp[step_below + 1], place - float(step_below));
+  }}
+}}
 """
 FRAGMENT_SOURCE = "void main() { fragment = shown; }"
 
 _shader: gpu.types.GPUShader | None = None
-_batches: dict[tuple[int, int], gpu.types.GPUBatch] = {}  # by the point cloud's session_uid and number of points
+_batches: dict[tuple[object, ...], gpu.types.GPUBatch] = {}  # by _batch_key
 _last_views: dict[int, tuple[float, ...]] = {}  # by region: where it looked from when it was last drawn
 _remove_handler: Callable[[], None] | None = None
 
@@ -60,8 +96,9 @@ def stop() -> None:
         _remove_handler = None
     bpy.app.handlers.load_pre.remove(_forget)
     _forget()
-    if bpy.app.timers.is_registered(_draw_the_rest):
-        bpy.app.timers.unregister(_draw_the_rest)
+    for timer in (_draw_the_rest, _let_nodes_show):
+        if bpy.app.timers.is_registered(timer):
+            bpy.app.timers.unregister(timer)
     _shader = None
     redraw()
 
@@ -76,35 +113,20 @@ def redraw() -> None:
 def frame(context: bpy.types.Context, item: bpy.types.Object) -> None:
     """Turn every 3D viewport of the window to a cloud or a surface, without what lies far from most of it, from
     obliquely above, with fitting clip planes. Viewports in camera view leave it."""
-    from mathutils import Euler, Vector
-
     if (bounds := subject_bounds(item)) is None:
         return
     low, high = bounds
-    centre, size = (low + high) / 2, float(np.linalg.norm(high - low)) * item.matrix_world.median_scale
+    centre, size = (low + high) / 2, float(np.linalg.norm(high - low))
     for area in context.window.screen.areas if context.window is not None else ():
         if area.type != "VIEW_3D":
             continue
         space = area.spaces.active
         view = space.region_3d
         view.view_perspective = "PERSP"
-        view.view_location = item.matrix_world @ Vector(centre.tolist())
+        view.view_location = Vector(centre.tolist())
         view.view_rotation = Euler((np.radians(58), 0, np.radians(35))).to_quaternion()
         view.view_distance = size * 0.95
         space.clip_start, space.clip_end = size / 2000, size * 50
-
-
-def subject_bounds(item: bpy.types.Object) -> tuple[np.ndarray, np.ndarray] | None:
-    """Lowest and highest x, y, z (3,) of what most of a cloud or a surface is about, in its own frame; None for one
-    without points."""
-    attribute = item.data.attributes["position"]
-    positions = np.empty((len(attribute.data), 3), np.float32)
-    if not len(positions):
-        return None
-    attribute.data.foreach_get("vector", positions.ravel())
-    sample = positions[:: max(1, len(positions) // 100_000)]
-    low, high = np.percentile(about_the_subject(sample), [2, 98], axis=0)
-    return low, high
 
 
 def show_texture(context: bpy.types.Context, *, textured: bool) -> None:
@@ -126,6 +148,15 @@ def _draw_the_rest() -> None:
     redraw()
 
 
+def _let_nodes_show() -> None:
+    """Switch on what display.py leaves off for as long as no viewport needs it."""
+    for scene in {window.scene for window in bpy.context.window_manager.windows}:
+        clouds = clouds_of(scene)
+        if any(not modifier.show_viewport for item in clouds
+               if (modifier := item.modifiers.get(display.MODIFIER)) is not None):
+            display.apply(scene, clouds)
+
+
 def _shown_share(context: bpy.types.Context, points: int) -> float:
     """How much of `points` to draw now: less while the view moves, with the rest to follow."""
     wanted = context.scene.curecon.display_fraction / 100
@@ -145,17 +176,19 @@ def _draw() -> None:
     context = bpy.context
     space = context.space_data
     if space.shading.type not in {"SOLID", "WIREFRAME"}:
+        if not bpy.app.timers.is_registered(_let_nodes_show):
+            bpy.app.timers.register(_let_nodes_show, first_interval=0.0)  # nothing may be written while drawing
         return
     clouds = [
         item for item in context.view_layer.objects
         if item.type == "POINTCLOUD" and CLOUD_KEY in item.data and item.visible_get(viewport=space)
     ]
-    alive = {(data.session_uid, len(data.points)) for data in bpy.data.pointclouds}
+    alive = {_batch_key(data) for data in bpy.data.pointclouds if CLOUD_KEY in data}
     for key in _batches.keys() - alive:
         del _batches[key]
     if not clouds:
         return
-    shader, settings, region = _get_shader(), context.scene.curecon, context.region
+    shader, settings, region = _get_shader(), display.of(context.scene), context.region
     view, share = context.region_data, _shown_share(context, sum(len(item.data.points) for item in clouds))
     gpu.state.depth_test_set("LESS_EQUAL")
     gpu.state.depth_mask_set(True)
@@ -163,11 +196,11 @@ def _draw() -> None:
     shader.bind()
     for item in clouds:
         # Pixels that a radius of 1 takes at clip w = 1; a square of 0.85 of a disc's width has about its area.
-        scale = item.matrix_world.median_scale * settings.point_size
+        scale = item.matrix_world.median_scale * settings.size
         pixels = view.window_matrix[1][1] * region.height * 0.85 * scale
-        smallest = MIN_POINT_PIXELS * settings.point_size
-        shader.uniform_float("clip_from_object", view.perspective_matrix @ item.matrix_world)
-        shader.uniform_float("size", (pixels, max(1.0, smallest), MAX_POINT_PIXELS))
+        smallest = max(1.0, MIN_POINT_PIXELS * settings.size)
+        block = _block(settings, item, view.perspective_matrix, (pixels, smallest, MAX_POINT_PIXELS, 0.0))
+        shader.uniform_block("show", block)
         count = round(len(item.data.points) * share)
         if count:
             _get_batch(item.data).draw_range(shader, elem_start=0, elem_count=count)
@@ -176,15 +209,33 @@ def _draw() -> None:
     gpu.state.depth_test_set("NONE")
 
 
+def _block(
+    settings: display.Display, item: bpy.types.Object, perspective: Matrix, size: tuple[float, ...]
+) -> gpu.types.GPUUniformBuf:
+    """The shader's CloudDisplay for one cloud in one view."""
+    matrix, box = item.matrix_world, settings.region_from_world
+    rows = np.zeros((12 + RAMP_STEPS, 4), np.float32)
+    rows[0:4] = np.array(perspective @ matrix).T  # by columns
+    rows[4:8] = np.array(box @ matrix if box is not None else Matrix.Identity(4)).T
+    rows[8] = size
+    rows[9] = (settings.min_confidence, settings.min_views, float(box is not None), COLOURS.index(settings.colour_by))
+    rows[10], rows[11, :2] = matrix[2], (settings.low, max(settings.high, settings.low + 1e-6))
+    if (node := display.ramp_node()) is not None:
+        rows[12:] = [node.color_ramp.evaluate(step / (RAMP_STEPS - 1)) for step in range(RAMP_STEPS)]
+    return gpu.types.GPUUniformBuf(gpu.types.Buffer("FLOAT", rows.size, rows.ravel().tolist()))
+
+
 def _get_shader() -> gpu.types.GPUShader:
     global _shader
     if _shader is None:
         info = gpu.types.GPUShaderCreateInfo()
-        info.push_constant("MAT4", "clip_from_object")
-        info.push_constant("VEC3", "size")  # pixels of radius 1 at w = 1; smallest, largest
+        info.typedef_source(BLOCK)
+        info.uniform_buf(0, "CloudDisplay", "show")
         info.vertex_in(0, "VEC3", "position")
         info.vertex_in(1, "VEC4", "colour")
         info.vertex_in(2, "FLOAT", "radius")
+        info.vertex_in(3, "VEC2", "quality")
+        info.vertex_in(4, "VEC4", "normal")
         between = gpu.types.GPUStageInterfaceInfo("curecon_points")
         between.flat("VEC4", "shown")
         info.vertex_out(between)
@@ -195,24 +246,39 @@ def _get_shader() -> gpu.types.GPUShader:
     return _shader
 
 
+def _batch_key(data: bpy.types.PointCloud) -> tuple[object, ...]:
+    return data.session_uid, len(data.points), data.get(display.REMOVED_KEY)
+
+
 def _get_batch(data: bpy.types.PointCloud) -> gpu.types.GPUBatch:
-    count = len(data.points)
-    key = (data.session_uid, count)
+    key = _batch_key(data)
     if key not in _batches:
-        positions = np.empty((count, 3), np.float32)
+        count = len(data.points)
         colours = np.empty((count, 4), np.float32)
-        data.attributes["position"].data.foreach_get("vector", positions.ravel())
         data.attributes[COLOUR].data.foreach_get("color_srgb", colours.ravel())
-        radii = np.empty((count, 1), np.float32)
-        data.attributes["radius"].data.foreach_get("value", radii.ravel())
         np.multiply(colours, 255, out=colours)
+        quality = np.stack([_floats(data, "confidence"), _floats(data, "views")], axis=1)
+        if display.REMOVED in data.attributes:
+            quality[_floats(data, display.REMOVED) > 0] = -1  # below every threshold
+        normals = np.zeros((count, 4), np.int8)
+        normals[:, :3] = np.rint(127 * _floats(data, "normal", "vector", 3))
         layout = gpu.types.GPUVertFormat()
         layout.attr_add(id="position", comp_type="F32", len=3, fetch_mode="FLOAT")
         layout.attr_add(id="colour", comp_type="U8", len=4, fetch_mode="INT_TO_FLOAT_UNIT")
         layout.attr_add(id="radius", comp_type="F32", len=1, fetch_mode="FLOAT")
+        layout.attr_add(id="quality", comp_type="F32", len=2, fetch_mode="FLOAT")
+        layout.attr_add(id="normal", comp_type="I8", len=4, fetch_mode="INT_TO_FLOAT_UNIT")
         vertices = gpu.types.GPUVertBuf(layout, count)
-        vertices.attr_fill("position", positions)
+        vertices.attr_fill("position", positions(data))
         vertices.attr_fill("colour", np.rint(colours, out=colours).astype(np.uint8))
-        vertices.attr_fill("radius", radii)
+        vertices.attr_fill("radius", _floats(data, "radius")[:, None])
+        vertices.attr_fill("quality", quality)
+        vertices.attr_fill("normal", normals)
         _batches[key] = gpu.types.GPUBatch(type="POINTS", buf=vertices)
     return _batches[key]
+
+
+def _floats(data: bpy.types.PointCloud, name: str, field: str = "value", width: int = 1) -> np.ndarray:
+    values = np.empty(len(data.points) * width, np.float32)
+    data.attributes[name].data.foreach_get(field, values)
+    return values.reshape(-1, width) if width > 1 else values

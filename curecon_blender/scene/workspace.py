@@ -10,10 +10,11 @@ from pathlib import Path
 import bpy
 
 from ..core import alignment, components
+from ..core.cloud_edits import is_stale, read_removed
 from ..core.mesh import Mesh, filled_share, mesh_file, read_mesh, textured_folder
 from ..core.ply import read_cloud
 from ..core.types import Frame
-from . import cameras, frame, points, surface
+from . import cameras, cloud_edits, display, frame, points, surface
 
 WORKSPACE_KEY = "curecon_workspace"  # on the collection: the workspace it was imported from
 
@@ -32,6 +33,7 @@ class Imported:
     scale_source: str  # what the true scale rests on, in words; empty when it is unknown
     parts: int
     missing_pictures: int
+    stale_edits: bool  # points were taken out of an earlier cloud; this one has all of its own
 
     @property
     def points(self) -> int:
@@ -57,6 +59,8 @@ def import_workspace(scene: bpy.types.Scene, folder: Path, *, pack: bool = False
     folder = folder.resolve()
     parts = components.read(folder)
     clouds = [read_cloud(path) if (path := folder / part.cloud).is_file() else None for part in parts]
+    taken = [read_removed(folder / part.cloud, len(cloud)) if cloud is not None else None
+             for part, cloud in zip(parts, clouds, strict=True)]
     adjustments = [alignment.read(folder / part.sparse) for part in parts]
     meshes = [_read_surface(folder, part.index) for part in parts]
 
@@ -66,7 +70,7 @@ def import_workspace(scene: bpy.types.Scene, folder: Path, *, pack: bool = False
     top[WORKSPACE_KEY] = str(folder)
     scene.collection.children.link(top)
     cloud_objects, surface_objects, camera_objects, missing = [], [], [], 0
-    for part, cloud, mesh, adjustment in zip(parts, clouds, meshes, adjustments, strict=True):
+    for part, cloud, removed, mesh, adjustment in zip(parts, clouds, taken, meshes, adjustments, strict=True):
         collection = top if len(parts) == 1 else _child(top, f"Part {part.index + 1}")
         holder = _child(collection, "Cameras")
         holder[cameras.CAMERAS_KEY] = True
@@ -77,6 +81,7 @@ def import_workspace(scene: bpy.types.Scene, folder: Path, *, pack: bool = False
         if cloud is not None:
             label = "Cloud" if len(parts) == 1 else f"Cloud {part.index + 1}"
             cloud_objects.append(points.add(cloud, label, collection))
+            cloud_edits.attach(cloud_objects[-1], folder / part.cloud, removed)
             hide([cloud_objects[-1]], mesh is not None)
         if mesh is not None:
             label = "Surface" if len(parts) == 1 else f"Surface {part.index + 1}"
@@ -88,12 +93,13 @@ def import_workspace(scene: bpy.types.Scene, folder: Path, *, pack: bool = False
     placed = [part for part in frame.parts_of(scene) if part.collection in {top, *top.children}]
     if placed:
         frame.show(scene, placed[0].frame)
+    display.apply(scene, cloud_objects)
     return Imported(
         collection=top, clouds=tuple(cloud_objects), surfaces=tuple(surface_objects), cameras=tuple(camera_objects),
         filled=filled_share(mesh for mesh, _ in filter(None, meshes)),
         frame=placed[0].frame if placed else Frame(scale="unknown", up="given"),
         scale_source=placed[0].scale_source if placed else "", parts=len(parts),
-        missing_pictures=missing,
+        missing_pictures=missing, stale_edits=any(is_stale(folder / part.cloud) for part in parts),
     )
 
 
