@@ -13,6 +13,7 @@ from box_scene import cast, make_view, write_scene
 
 from curecon_blender.core.depth import DepthEstimator, Tile, plan_tiles, visible_region
 from curecon_blender.core.errors import DeviceError
+from curecon_blender.core.fused_cost_volume import fused_cost_volume
 from curecon_blender.core.matching_scores import depth_range, matching_score
 from curecon_blender.core.network import (
     PAPER,
@@ -22,6 +23,7 @@ from curecon_blender.core.network import (
     depth_from_t,
     homography_terms,
     pixel_grid,
+    plain_cost_volume,
     t_from_depth,
     warp,
 )
@@ -206,3 +208,29 @@ def test_a_tile_takes_from_a_source_all_that_it_can_see() -> None:
     assert inside.any()
     assert (x / w)[inside].min() >= region.x0 and (x / w)[inside].max() <= region.x1
     assert (y / w)[inside].min() >= region.y0 and (y / w)[inside].max() <= region.y1
+
+
+@pytest.mark.parametrize("visibility", [True, False])
+@pytest.mark.parametrize("level", [0, 2])
+def test_the_fused_cost_volume_is_the_plain_one_with_its_gradients(level: int, visibility: bool) -> None:
+    torch.manual_seed(level)
+    channels, h, w, m = 8 * 2**level, 12, 20, 6
+    K = torch.tensor([[22.0, 0, 10], [0, 22, 6], [0, 0, 1]]).expand(2, 4, 3, 3)
+    poses = torch.eye(3, 4).repeat(2, 4, 1, 1)
+    poses[:, 1:, 0, 3] = torch.tensor([0.8, -1.6, 2.4])
+    poses[:, 3, 2, 3] = -7.0  # some depths lie behind the last source
+    terms = [homography_terms(K, poses, i, pixel_grid(torch.arange(w) + 0.5, torch.arange(h) + 0.5)) for i in (1, 2, 3)]
+    inverse_depth = 1 / (0.3 + 12 * torch.rand(2, m, h, w))
+    weights = torch.tensor([[0.5, 0.3, 0.2], [0.2, 0.2, 0.6]])
+    upstream = torch.randn(2, 8, m, h, w)
+    values = [torch.randn(2, channels, h, w), torch.randn(2, channels, h, w), torch.randn(2, channels, h, w),
+              torch.randn(2, channels, h + 4, w - 4), torch.tensor(1.3), torch.tensor(1.1)]
+    results = []
+    for compute in (plain_cost_volume, fused_cost_volume):
+        own = [value.clone().requires_grad_() for value in values]
+        volume = compute(own[0], own[1:4], terms, weights, inverse_depth, 8, own[4], own[5] if visibility else None)
+        (volume * upstream).sum().backward()
+        results.append([volume, *[value.grad for value in own[: 6 if visibility else 5]]])
+    assert (results[0][0] == 0).any()  # there are places that no source sees
+    for plain, fused in zip(*results, strict=True):
+        torch.testing.assert_close(fused, plain, rtol=1e-4, atol=1e-4 * float(plain.abs().max()))

@@ -50,7 +50,7 @@ class Rival:
 
 def variance(
     self: LCMMVSNet, level: int, reference: Tensor, sources: list[Tensor], terms: list[tuple[Tensor, Tensor]],
-    weights: Tensor, inverse_depth: Tensor,
+    weights: Tensor, inverse_depth: Tensor, out: Tensor | None = None,
 ) -> Tensor:
     """MVSNet's cost in place of Eq. 2: the variance over the views, in the mean of a group's channels."""
     b, c = reference.shape[:2]
@@ -62,7 +62,8 @@ def variance(
         total, squares = total + warped, squares + warped.square()
     count = len(sources) + 1
     spread = squares / count - (total / count).square()
-    return spread.reshape(b, k, c // k, *spread.shape[2:]).mean(2)
+    cost = spread.reshape(b, k, c // k, *spread.shape[2:]).mean(2)
+    return cost if out is None else out.copy_(cost)
 
 
 def uniform_depth(t: Tensor, near: Tensor, far: Tensor) -> Tensor:
