@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from curecon_blender.core import cost
+from curecon_blender.core.messages import Reporter
 from curecon_blender.core.options import PRESETS, STAGES, Options
 from curecon_blender.core.types import GeoPosition, Photo
 
@@ -75,6 +76,18 @@ def test_predictions_come_true_after_the_first_job(tmp_path: Path) -> None:
     expected = cost.reference_seconds(bigger, options)
     for stage in ("sparse", "depth", "fusion"):
         assert slowness[stage] * expected[stage] == pytest.approx(3.7 * expected[stage], rel=0.01)
+
+
+def test_a_resumed_stage_is_known_as_such_and_teaches_nothing() -> None:
+    reporter = Reporter()
+    reporter.begin(("depth", "fusion"))
+    reporter.stage("depth")
+    reporter.progress(1, 3)
+    assert not reporter.resumed
+    reporter.progress(2, 3, fresh=False)
+    assert reporter.resumed
+    reporter.stage("fusion")
+    assert not reporter.resumed
 
 
 def test_one_slow_job_does_not_spoil_the_rest_and_a_damaged_file_is_learned_anew(tmp_path: Path) -> None:

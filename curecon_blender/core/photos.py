@@ -68,7 +68,7 @@ def check_photos(source: Path, reporter: Reporter) -> PhotoSet:
         workers.shutdown(cancel_futures=True)
     examined, skipped = _without_duplicates(results)
     for skip in skipped:
-        reporter.warning(f"Left out: {skip.reason}", photo=images.shown(skip.path))
+        reporter.warning(f"Left out: {skip.reason}")
     if len(examined) < MIN_PHOTOS:
         raise _too_few(source, len(examined), skipped)
     photos = _with_names(source, _with_sharpness([one.photo for one in examined]))
