@@ -32,7 +32,9 @@ class CURECON_PT_cloud(Panel, bpy.types.Panel):
             paragraph(layout, context, "Red looks east, green north, blue up")
         elif cloud.colour_by != display.PHOTO and (node := display.ramp_node()) is not None:
             column = layout.column(align=True)
-            column.template_color_ramp(node, "color_ramp", expand=False)
+            row = column.row(align=True)
+            for element in node.color_ramp.elements:
+                row.prop(element, "color", text="")
             row = column.row(align=True)
             row.prop(cloud, "low", text="")
             row.prop(cloud, "high", text="")

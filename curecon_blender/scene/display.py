@@ -64,6 +64,7 @@ def apply(scene: bpy.types.Scene, clouds: list[bpy.types.Object]) -> None:
             modifier.show_viewport = nodes_show
         for name, value in values.items():
             _set_input(modifier, name, value)
+        _set_input(modifier, "Material", item.active_material)
         if nodes_show:
             item.update_tag()
     if clouds:
@@ -171,6 +172,7 @@ def _build_nodes() -> bpy.types.NodeTree:
                                 ("Min Views", "Int", 0), ("Only Region", "Bool", False)):
         sockets.new_socket(name, in_out="INPUT", socket_type=f"NodeSocket{kind}").default_value = default
     sockets.new_socket("Region", in_out="INPUT", socket_type="NodeSocketObject")
+    sockets.new_socket("Material", in_out="INPUT", socket_type="NodeSocketMaterial")
     given = tree.nodes.new("NodeGroupInput")
 
     def node(kind: str, inputs: dict[int | str, object], **settings: object) -> bpy.types.Node:
@@ -224,7 +226,9 @@ def _build_nodes() -> bpy.types.NodeTree:
     radius = node("ShaderNodeMath", {0: attribute("radius", "FLOAT"), 1: given.outputs["Point Size"]},
                   operation="MULTIPLY").outputs[0]
     sized = node("GeometryNodeSetPointRadius", {"Points": kept.outputs[0], "Radius": radius})
-    node("NodeGroupOutput", {0: sized.outputs[0]})
+    # Deleting points loses a point cloud's materials.
+    painted = node("GeometryNodeSetMaterial", {"Geometry": sized.outputs[0], "Material": given.outputs["Material"]})
+    node("NodeGroupOutput", {0: painted.outputs[0]})
     for index, made in enumerate(tree.nodes):  # a readable grid for who opens it
         made.location = (index // 6 * 220, -(index % 6) * 190)
     return tree

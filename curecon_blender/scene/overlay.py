@@ -92,6 +92,7 @@ def _label(context: bpy.types.Context, place: Vector, text: str, colour: tuple[f
     blf.size(0, TEXT_POINTS * scale)
     width, height = blf.dimensions(0, text)
     x, y, pad = place.x + 10 * scale, place.y + 10 * scale, 4 * scale
+    gpu.state.blend_set("ALPHA")  # which drawing text leaves switched off
     shader = gpu.shader.from_builtin("UNIFORM_COLOR")
     box = [(x - pad, y - pad), (x + width + pad, y - pad), (x + width + pad, y + height + pad),
            (x - pad, y + height + pad)]

@@ -47,6 +47,9 @@ def shown() -> np.ndarray:
     drawn = places if indices is None else places[indices]
     evaluated = item.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
     np.testing.assert_array_equal(rows(positions(evaluated)), rows(drawn))
+    if len(drawn):  # deleting points loses materials, were it left at that
+        names = [material.name for material in evaluated.materials if material is not None]
+        assert names == ["CU-Recon Colour"], list(evaluated.materials)
     return drawn
 
 
