@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from test_extension import blender, run_script  # noqa: F401
 
-from curecon_blender.core import camera_path, capture, sun
-from curecon_blender.core.errors import WorkspaceError
+from curecon_blender.core import camera_path, capture, sheet, sheet_files, sun
+from curecon_blender.core.errors import SurfaceError, WorkspaceError
 
 GREENWICH = (51.4779, 0.0)
 
@@ -71,6 +71,70 @@ def test_capture_times_come_in_order_and_say_what_is_known_of_their_zone(tmp_pat
     (tmp_path / capture.FILE_NAME).write_text("{")
     with pytest.raises(WorkspaceError, match="damaged"):
         capture.read_times(tmp_path)
+
+
+class Letters:
+    """Draws each text as a bar and remembers it."""
+
+    def __init__(self) -> None:
+        self.texts: list[str] = []
+
+    def __call__(self, text: str) -> np.ndarray:
+        self.texts.append(text)
+        return sheet.rectangle(0, 0, 0.5 * len(text), 0.7)
+
+
+def drawing(*, scale: int | None, north: float | None = None) -> sheet.Drawing:
+    """A red field of 200 x 100 mm at 4 pixels a millimetre."""
+    return sheet.Drawing(
+        pixels=np.full((400, 800, 3), (200, 30, 20), np.uint8), pixels_per_mm=4, title="Site", name="Roof plan",
+        date="1 May 2026", scale=scale, orientation="North as the arrow" if north is not None else "North unknown",
+        north=north,
+    )
+
+
+def test_the_smallest_paper_that_holds_a_drawing_is_taken() -> None:
+    assert sheet.paper_for(260, 140) == ("A4", False)
+    assert sheet.paper_for(140, 220) == ("A4", True)
+    assert sheet.paper_for(262, 140) == ("A3", False)
+    assert sheet.paper_for(1150, 780) == ("A0", False)
+    with pytest.raises(SurfaceError, match="no paper up to A0"):
+        sheet.paper_for(1200, 900)
+
+
+@pytest.mark.parametrize(("scale", "metres"), [(20, 1), (50, 2), (100, 5), (200, 10), (500, 20), (1000, 50)])
+def test_the_scale_bar_has_its_length_on_paper(scale: int, metres: float) -> None:
+    assert sheet.bar_length(scale) == metres
+    letters = Letters()
+    laid = sheet.lay_out(drawing(scale=scale), letters)
+    widths = [np.ptp(fill.triangles[..., 0]) for fill in laid.fills]
+    assert min(abs(width - metres * 1000 / scale) for width in widths) < 1e-9
+    assert f"Scale 1:{scale} on A4" in letters.texts and f"{metres:g} m" in letters.texts
+
+
+def test_a_sheet_of_unknown_scale_or_north_says_so() -> None:
+    letters, bare = Letters(), Letters()
+    known = sheet.lay_out(drawing(scale=100, north=45), letters)
+    unknown = sheet.lay_out(drawing(scale=None), bare)
+    assert "N" in letters.texts and "N" not in bare.texts
+    assert "Scale unknown: do not measure" in bare.texts and "Scale unknown" in bare.texts
+    assert not [text for text in bare.texts if text.endswith(" m") or "1:" in text]
+    assert any("North unknown" in text for text in bare.texts)
+    assert len(known.fills) - len(unknown.fills) > 3  # the bar and the arrow
+    black, white = (fill.triangles for fill in known.fills if len(fill.triangles) == 1 and fill.colour == sheet.INK)
+    shared = np.array([corner for corner in black[0] if np.isclose(corner, white[0]).all(axis=1).any()])
+    along = shared[np.argmax(shared.sum(axis=1))] - shared[np.argmin(shared.sum(axis=1))]  # the arrow's spine
+    assert np.degrees(np.arctan2(*along)) == pytest.approx(45, abs=0.1)
+
+
+def test_a_sheet_is_drawn_pixel_for_pixel() -> None:
+    laid = sheet.lay_out(drawing(scale=100), Letters())
+    for density in (4, 8):
+        pixels = sheet_files.rasterise(laid, density)
+        assert pixels.shape == (210 * density, 297 * density, 3)
+        red = np.all(pixels == (200, 30, 20), axis=2)
+        assert red.sum() == 200 * 100 * density**2 and red.any(axis=0).sum() == 200 * density
+    assert pixels[-round(10.1 * 8), 100 * 8].max() < 60  # the frame, 10 mm above the paper's edge
 
 
 def test_the_sun_falls_as_on_the_day_of_the_photos(blender: Path, tmp_path: Path) -> None:  # noqa: F811
@@ -148,3 +212,7 @@ def test_quaternions_are_those_of_the_matrices() -> None:
 
 def test_cameras_move_and_photos_lie_over_the_scene(blender: Path, tmp_path: Path) -> None:  # noqa: F811
     run_script(blender, "check_present_cameras.py", tmp_path, resources=tmp_path / "user")
+
+
+def test_sheets_measure_right_and_films_play(blender: Path, tmp_path: Path) -> None:  # noqa: F811
+    run_script(blender, "check_present_renders.py", tmp_path, resources=tmp_path / "user")

@@ -18,7 +18,9 @@ from . import (
     frame_scale,
     import_workspace,
     measure,
+    present_elevations,
     present_moves,
+    present_renders,
     present_photos,
     present_sun,
     presets,
@@ -27,7 +29,8 @@ from . import (
 
 CLASSES = (
     *choose_photos.CLASSES, *check_photos.CLASSES, *reconstruct.CLASSES, *presets.CLASSES, *import_workspace.CLASSES,
-    *build_surface.CLASSES, *export_surface.CLASSES, *present_moves.CLASSES, *present_photos.CLASSES,
+    *build_surface.CLASSES, *export_surface.CLASSES, *present_elevations.CLASSES, *present_moves.CLASSES,
+    *present_renders.CLASSES, *present_photos.CLASSES,
     *present_sun.CLASSES,
     *frame_scale.CLASSES, *frame_level.CLASSES, *frame_north.CLASSES, *frame_reset.CLASSES, *measure.CLASSES,
     *cloud_points.CLASSES,

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import bpy
 
+from ..operators import rendering
 from ..operators.present_moves import KINDS
 from ..scene import cameras, daylight, site
 from .layout import Panel, paragraph
@@ -21,7 +22,11 @@ class CURECON_PT_present(Panel, bpy.types.Panel):
         return bool(context.scene.curecon.result.workspace)  # the step after the cloud
 
     def draw(self, context: bpy.types.Context) -> None:
-        pass  # its parts are panels of their own
+        progress = rendering.progress
+        if progress.running:
+            label = f"{progress.name}  {progress.done}/{progress.total}"
+            self.layout.progress(factor=max(progress.done - 1, 0) / progress.total, text=label)
+            self.layout.label(text="Esc in the render's window cancels")
 
 
 class _Part(Panel):
@@ -85,6 +90,35 @@ class CURECON_PT_present_photos(_Part, bpy.types.Panel):
         layout.prop(present, "photo_opacity", slider=True)
 
 
+class CURECON_PT_present_elevations(_Part, bpy.types.Panel):
+    bl_idname = "CURECON_PT_present_elevations"
+    bl_label = "Elevations"
+
+    def draw_part(self, context: bpy.types.Context, present: bpy.types.PropertyGroup) -> None:
+        layout = self.layout
+        if context.scene.curecon.result.scale == "metres":
+            layout.prop(present, "sheet_scale")
+        else:
+            paragraph(layout, context, "Scale unknown: the sheets will say so and carry no scale bar.", icon="INFO")
+        layout.prop(present, "facade_turn")
+        layout.operator("curecon.render_elevations", icon="SNAP_PERPENDICULAR")
+
+
+class CURECON_PT_present_output(_Part, bpy.types.Panel):
+    bl_idname = "CURECON_PT_present_output"
+    bl_label = "Pictures and Film"
+
+    def draw_part(self, context: bpy.types.Context, present: bpy.types.PropertyGroup) -> None:
+        layout = self.layout
+        layout.row().prop(present, "quality", expand=True)
+        layout.row().prop(present, "engine", expand=True)
+        layout.prop(present, "title", placeholder="The workspace's name")
+        layout.prop(present, "folder", placeholder="In the workspace")
+        layout.operator("curecon.render_showreel", icon="RENDER_ANIMATION")
+        layout.operator("curecon.open_presentation", icon="FILE_FOLDER")
+
+
 CLASSES = (
     CURECON_PT_present, CURECON_PT_present_sun, CURECON_PT_present_moves, CURECON_PT_present_photos,
+    CURECON_PT_present_elevations, CURECON_PT_present_output,
 )

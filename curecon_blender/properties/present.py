@@ -10,9 +10,22 @@ from __future__ import annotations
 from math import pi
 
 import bpy
-from bpy.props import FloatProperty
+from bpy.props import EnumProperty, FloatProperty, StringProperty
 
 from ..scene import cameras
+
+SCALES = tuple(
+    (str(scale), f"1:{scale}", f"1 cm on the paper is {scale / 100:g} m on the building")
+    for scale in (20, 50, 100, 200, 500, 1000)
+)
+QUALITIES = (
+    ("DRAFT", "Draft", "Seconds a picture: films of 960 x 540 pixels, sheets of 4 pixels a millimetre (102 dpi)"),
+    ("GOOD", "Good", "Minutes a picture: films of 1920 x 1080 pixels, sheets of 8 pixels a millimetre (203 dpi)"),
+)
+ENGINES = (
+    ("CYCLES", "Cycles", "Works on every computer"),
+    ("EEVEE", "EEVEE", "Several times faster, where there is a graphics card"),
+)
 
 
 def _overlay(present: CURECON_PG_present, context: bpy.types.Context) -> None:
@@ -59,6 +72,27 @@ class CURECON_PG_present(bpy.types.PropertyGroup):
         name="Opacity", description="Of the photo over the scene in its camera's view: 0 shows the scene alone, 1 the "
                                     "photo alone",
         default=0.5, min=0.0, max=1.0, subtype="FACTOR", update=_overlay,
+    )
+    title: StringProperty(
+        name="Title", description="Heads the sheets. Empty: the workspace's name",
+    )
+    sheet_scale: EnumProperty(
+        name="Scale", description="Of the elevations on paper, which takes the smallest from A4 to A0 that holds them",
+        items=SCALES, default="100",
+    )
+    facade_turn: FloatProperty(
+        name="Turn", description="Added to the building's main direction, -90 to 90 degrees, anticlockwise from above",
+        default=0.0, min=-pi / 2, max=pi / 2, subtype="ANGLE",
+    )
+    quality: EnumProperty(
+        name="Quality", description="Of all that is rendered here", items=QUALITIES, default="DRAFT",
+    )
+    engine: EnumProperty(
+        name="Engine", description="What renders", items=ENGINES, default="CYCLES",
+    )
+    folder: StringProperty(
+        name="Folder", description="Where the files go. Empty: the folder presentation in the workspace",
+        subtype="DIR_PATH",
     )
 
 

@@ -26,11 +26,11 @@ def make(scene: bpy.types.Scene, kind: str, times: dict[str, datetime]) -> bpy.t
     """The camera of one of the moves in NAMES, in place of the one that an earlier call made; the scene looks through
     it and plays just its frames. `times` are the photos' capture times. Raises SurfaceError."""
     present = scene.curecon.present
-    frames = max(2, round(present.seconds * scene.render.fps / scene.render.fps_base))
+    frames = frame_count(scene)
     about = site.box(scene)
-    path = _along_photos(scene, times, frames) if kind == "FLIGHT" else _around(about, kind, present, frames)
+    path = _along_photos(scene, times, frames) if kind == "FLIGHT" else around(about, kind, present, frames)
     camera = _camera(scene, kind, about)
-    _animate(camera, path)
+    animate(camera, path)
     scene.camera = camera
     scene.frame_start, scene.frame_end = 1, frames
     scene.frame_set(1)
@@ -38,6 +38,21 @@ def make(scene: bpy.types.Scene, kind: str, times: dict[str, datetime]) -> bpy.t
     render.resolution_x, render.resolution_y = FILM_SIZE
     render.pixel_aspect_x = render.pixel_aspect_y = 1.0
     return camera
+
+
+def frame_count(scene: bpy.types.Scene) -> int:
+    """How many frames a move has at the scene's frame rate."""
+    return max(2, round(scene.curecon.present.seconds * scene.render.fps / scene.render.fps_base))
+
+
+def is_move(candidate: bpy.types.Object | None) -> bool:
+    return candidate is not None and candidate.get(presentation.ROLE_KEY) in NAMES and frames_of(candidate) > 1
+
+
+def frames_of(camera: bpy.types.Object) -> int:
+    """The last frame of a move's keys; 0 when they are gone."""
+    animation = camera.animation_data
+    return round(animation.action.frame_range[1]) if animation is not None and animation.action is not None else 0
 
 
 def in_order(scene: bpy.types.Scene, times: dict[str, datetime]) -> list[bpy.types.Object]:
@@ -63,7 +78,8 @@ def new_lens(name: str, about: site.Box) -> bpy.types.Camera:
     return data
 
 
-def _around(about: site.Box, kind: str, present: bpy.types.PropertyGroup, frames: int) -> CameraPath:
+def around(about: site.Box, kind: str, present: bpy.types.PropertyGroup, frames: int) -> CameraPath:
+    """The path of an orbit or a crane shot about the box, as the properties ask for."""
     height, start = (present.height - 0.5) * about.height, degrees(present.start_angle)
     distance = _distance(about, height)
     if kind == "ORBIT":
@@ -73,10 +89,21 @@ def _around(about: site.Box, kind: str, present: bpy.types.PropertyGroup, frames
 
 
 def _distance(about: site.Box, height: float) -> float:
-    """How far off in plan the box's sphere just fits the picture's shorter side, from `height` above its middle."""
-    half_angle = np.arctan(SENSOR / (2 * LENS * WIDE))
-    reach = MARGIN * about.radius / np.sin(half_angle)
-    return float(np.sqrt(max(reach**2 - height**2, about.radius**2)))
+    """How far off in plan the box just fits the picture from every side, from `height` above its middle."""
+    around = np.linspace(0, 2 * np.pi, 33)
+    reach = float(np.hypot(*about.half[:2]))  # of the upright cylinder about the box
+    rim = np.stack([reach * np.cos(around), reach * np.sin(around)], axis=1)
+    points = np.concatenate([np.column_stack([rim, np.full(33, z)]) for z in (-about.half[2], about.half[2])])
+    room = np.array([1.0, 1 / WIDE]) * SENSOR / (2 * LENS * MARGIN)
+    near, far = reach, 100 * about.radius + abs(height)
+    for _ in range(40):
+        middle = (near + far) / 2
+        back = np.array([0.0, -middle, height]) / np.hypot(middle, height)
+        depth = np.hypot(middle, height) - points @ back
+        seen = np.stack([points[:, 0], points @ np.array([0.0, -back[2], back[1]])], axis=1)
+        fits = depth.min() > 0 and np.all(np.abs(seen) <= room * depth[:, None])
+        near, far = (near, middle) if fits else (middle, far)
+    return far
 
 
 def _along_photos(scene: bpy.types.Scene, times: dict[str, datetime], frames: int) -> CameraPath:
@@ -101,7 +128,8 @@ def _camera(scene: bpy.types.Scene, kind: str, about: site.Box) -> bpy.types.Obj
     return camera
 
 
-def _animate(camera: bpy.types.Object, path: CameraPath) -> None:
+def animate(camera: bpy.types.Object, path: CameraPath) -> None:
+    """Put a key of the path on every frame, from frame 1."""
     camera.rotation_mode = "QUATERNION"
     for frame, (place, rotation) in enumerate(zip(path.places, path.rotations, strict=True), start=1):
         camera.location, camera.rotation_quaternion = place, rotation

@@ -62,11 +62,14 @@ def subject(scene: bpy.types.Scene) -> bpy.types.Object | None:
     return next((item for item in found if not item.hide_render), found[0] if found else None)
 
 
-def box(scene: bpy.types.Scene) -> Box:
-    """The region box where one is chosen, else a box about the building. Raises SurfaceError when there is nothing."""
+def box(scene: bpy.types.Scene, turned_by: float = 0.0) -> Box:
+    """The region box where one is chosen, else a box about the building along its walls; `turned_by` further radians.
+
+    Raises SurfaceError when there is nothing to present.
+    """
     region = scene.curecon.region
     if region is not None:
-        return _box_of_region(region)
+        return _box_of_region(region, turned_by)
     item = subject(scene)
     if item is None:
         raise SurfaceError(
@@ -77,7 +80,7 @@ def box(scene: bpy.types.Scene) -> Box:
         raise SurfaceError(f"{item.name} is empty.", remedy="Import its workspace again.")
     points = about_the_subject(points)
     direction = _walls_of(item) if is_surface(item) else None
-    turn = footprint.rectangle_direction(points[:, :2]) if direction is None else direction
+    turn = turned_by + (footprint.rectangle_direction(points[:, :2]) if direction is None else direction)
     plan = footprint.turned(points[:, :2], turn)
     low, high = np.percentile(plan, [1, 99], axis=0)
     inside = points[np.all((plan >= low) & (plan <= high), axis=1), 2]
@@ -100,10 +103,10 @@ def place(scene: bpy.types.Scene) -> Place:
     )
 
 
-def _box_of_region(region: bpy.types.Object) -> Box:
+def _box_of_region(region: bpy.types.Object, turned_by: float) -> Box:
     corners = np.array([region.matrix_world @ Vector(corner) for corner in region.bound_box])
     along = np.array(region.matrix_world.to_3x3().col[0])
-    turn = float(np.arctan2(along[1], along[0]))
+    turn = float(np.arctan2(along[1], along[0])) + turned_by
     plan = footprint.turned(corners[:, :2], turn)
     low, high = np.array([*plan.min(axis=0), corners[:, 2].min()]), np.array([*plan.max(axis=0), corners[:, 2].max()])
     middle = (low + high) / 2

@@ -1,0 +1,31 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""True-scale sheets of the façades and the roof."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+
+from ..scene import elevations, stage
+from . import rendering
+from .rendering import RenderSeries
+
+
+class CURECON_OT_render_elevations(RenderSeries, bpy.types.Operator):
+    """Draw four façades and the roof plan to scale, a sheet each: PNG, and one PDF at true size"""
+
+    bl_idname = "curecon.render_elevations"
+    bl_label = "Draw Elevations"
+
+    def shots(self, context: bpy.types.Context, staged: bpy.types.Scene, folder: Path) -> list[stage.Shot]:
+        self._plan = elevations.plan(context.scene, staged, folder)
+        return [elevation.shot for elevation in self._plan.elevations]
+
+    def done(self, scene: bpy.types.Scene, folder: Path) -> str:
+        files = elevations.write_sheets(self._plan, folder, rendering.title_of(scene), rendering.today())
+        return f"{len(files) - 1} sheets and {files[0].name} are in {folder}."
+
+
+CLASSES = (CURECON_OT_render_elevations,)

@@ -1,0 +1,96 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Four façades and the roof plan: an orthographic render each, then a sheet of paper each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil, degrees
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ..core import sheet, sheet_files
+from ..core.sheet import Drawing
+from . import site, stage
+from .lettering import letters
+
+AROUND = 1.04  # of the box's size: what a drawing shows
+UP = np.array([0.0, 0.0, 1.0])
+SIDES = ("Front", "Right", "Back", "Left")  # where north is unknown
+
+
+@dataclass(frozen=True, kw_only=True)
+class Elevation:
+    """A render to be made and what its sheet will say; `north` as Drawing has it."""
+
+    shot: stage.Shot
+    name: str
+    orientation: str
+    north: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """All five drawings. `scale` is the denominator, None where the scale is unknown."""
+
+    elevations: tuple[Elevation, ...]
+    scale: int | None
+    pixels_per_mm: int
+
+
+def plan(scene: bpy.types.Scene, staged: bpy.types.Scene, folder: Path) -> Plan:
+    """Put a camera square to each side of the building, and one above it, on the stage. Raises SurfaceError."""
+    present = scene.curecon.present
+    about = site.box(scene, present.facade_turn)
+    pixels_per_mm = stage.PRESETS[present.quality].sheet_pixels_per_mm
+    scale = int(present.sheet_scale) if scene.curecon.result.scale == "metres" else None
+    has_north = site.place(scene).north
+    x, y = about.axis(0), about.axis(1)
+    views = [(side, np.array([np.cross(UP, out), UP, out])) for side, out in zip(SIDES, (-y, x, y, -x), strict=True)]
+    views.append(("Roof plan", np.array([x, y, UP])))
+    sizes = [AROUND * 2 * np.abs(axes[:2] @ np.array([x, y, UP]).T) @ about.half for _, axes in views]
+    # Of unknown scale: as large as an A3 takes the largest.
+    fit = min(min(np.array(sheet.room("A3", upright=False)) / size) for size in sizes)
+    mm_per_unit = 1000 / scale if scale else fit
+    made = []
+    for number, ((side, axes), size) in enumerate(zip(views, sizes, strict=True), start=1):
+        is_plan = number == len(views)
+        sheet.paper_for(*(size * mm_per_unit))
+        pixels = ceil(size[0] * mm_per_unit * pixels_per_mm), ceil(size[1] * mm_per_unit * pixels_per_mm)
+        shown = pixels[0] / pixels_per_mm / mm_per_unit, pixels[1] / pixels_per_mm / mm_per_unit
+        name, orientation, north = _words(side, axes, is_plan=is_plan, has_north=has_north)
+        file = folder / f"{number}_{name.lower().replace(' ', '_')}.png"
+        camera = stage.add_square(staged, name, about, axes, shown)
+        made.append(Elevation(
+            shot=stage.Shot(name=name, file=file, camera=camera, size=pixels, clear=True), name=name,
+            orientation=orientation, north=north,
+        ))
+    return Plan(elevations=tuple(made), scale=scale, pixels_per_mm=pixels_per_mm)
+
+
+def write_sheets(made: Plan, folder: Path, title: str, date: str) -> list[Path]:
+    """Turn each render into its sheet, in its place, and write all as one PDF. Raises WorkspaceError."""
+    sheets, files = [], []
+    for elevation in made.elevations:
+        drawing = Drawing(
+            pixels=stage.read_pixels(elevation.shot.file), pixels_per_mm=made.pixels_per_mm, title=title,
+            name=elevation.name, date=date, scale=made.scale, orientation=elevation.orientation, north=elevation.north,
+        )
+        sheets.append(sheet.lay_out(drawing, letters))
+        sheet_files.write_png(elevation.shot.file, sheets[-1], made.pixels_per_mm)
+        files.append(elevation.shot.file)
+    document = folder / "elevations.pdf"
+    sheet_files.write_pdf(document, sheets, title)
+    return [document, *files]
+
+
+def _words(side: str, axes: np.ndarray, *, is_plan: bool, has_north: bool) -> tuple[str, str, float | None]:
+    """The drawing's name, its orientation in words, and where north is on a plan."""
+    if not has_north:
+        return (side if is_plan else f"{side} elevation"), "North unknown", None
+    if is_plan:
+        return side, "North as the arrow", degrees(np.arctan2(axes[0, 1], axes[1, 1]))
+    azimuth = degrees(np.arctan2(axes[2, 0], axes[2, 1])) % 360
+    return f"{sheet.compass(azimuth)} elevation", f"Faces {azimuth:.0f}° from north", None

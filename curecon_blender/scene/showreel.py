@@ -1,0 +1,48 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Stills from four sides and from above, a film, and a contact sheet of the stills."""
+
+from __future__ import annotations
+
+from math import degrees
+from pathlib import Path
+
+import bpy
+
+from ..core import sheet, sheet_files
+from . import flight, site, stage
+from .lettering import letters
+
+FROM_ABOVE = 2.0  # times the box's radius: the height of the still that looks down steeply
+CONTACT_PIXELS_PER_MM = 8
+
+
+def shots(scene: bpy.types.Scene, staged: bpy.types.Scene, folder: Path) -> list[stage.Shot]:
+    """Put the cameras of the stills and of the film on the stage. Raises SurfaceError."""
+    present, about = scene.curecon.present, site.box(scene)
+    share = stage.PRESETS[present.quality].film_percentage / 100
+    size = round(flight.FILM_SIZE[0] * share), round(flight.FILM_SIZE[1] * share)
+    has_north = site.place(scene).north
+    height = (present.height - 0.5) * about.height
+    made = []
+    for number in range(1, 6):
+        azimuth = (degrees(present.start_angle) + 90 * (number - 1)) % 360
+        side = f"From the {sheet.compass(azimuth).lower()}" if has_north else f"View {number}"
+        name, high = (side, height) if number < 5 else ("From above", FROM_ABOVE * about.radius)
+        camera = stage.add_still(staged, name, about, azimuth, high)
+        made.append(stage.Shot(name=name, file=folder / f"still_{number}.png", camera=camera, size=size))
+    if flight.is_move(scene.camera):
+        film, frames = scene.camera.name, flight.frames_of(scene.camera)
+    else:
+        frames = flight.frame_count(scene)
+        film = stage.add_orbit(staged, about, flight.around(about, "ORBIT", present, frames))
+    made.append(stage.Shot(name="Film", file=folder / "film.mp4", camera=film, size=size, frames=frames))
+    return made
+
+
+def write_contact_sheet(stills: list[stage.Shot], folder: Path, title: str, date: str) -> None:
+    """The stills on one page, as PNG and PDF. Raises WorkspaceError."""
+    pictures = [(shot.name, stage.read_pixels(shot.file)) for shot in stills]
+    page = sheet.contact_sheet(pictures, title, date, letters)
+    sheet_files.write_png(folder / "contact_sheet.png", page, CONTACT_PIXELS_PER_MM)
+    sheet_files.write_pdf(folder / "contact_sheet.pdf", [page], title)

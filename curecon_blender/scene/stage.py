@@ -1,0 +1,165 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A copy of the scene to render from, so that the user's own render settings stay as they are.
+
+The copy shares the objects; it is there only while pictures are made.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from ..core.camera_path import CameraPath
+from . import flight, presentation, site
+
+STAGE_ROLE = "stage"
+NAME = "CU-Recon Rendering"
+EEVEES = ("BLENDER_EEVEE", "BLENDER_EEVEE_NEXT")  # 4.5 has the second, 5.0 and later the first
+
+
+@dataclass(frozen=True, kw_only=True)
+class Preset:
+    """What a quality stands for: samples a pixel, a film's share of full HD, and a sheet's pixels to the millimetre."""
+
+    samples: int
+    film_percentage: int
+    sheet_pixels_per_mm: int
+
+
+PRESETS = {
+    "DRAFT": Preset(samples=8, film_percentage=50, sheet_pixels_per_mm=4),
+    "GOOD": Preset(samples=48, film_percentage=100, sheet_pixels_per_mm=8),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shot:
+    """One render: `camera` is an object, `size` in pixels; `frames` above 1 make a film. A `clear` one has no
+    background."""
+
+    name: str
+    file: Path
+    camera: str
+    size: tuple[int, int]
+    frames: int = 1
+    clear: bool = False
+
+
+def open_stage(scene: bpy.types.Scene) -> bpy.types.Scene:
+    """A copy of the scene in the colours of the photos, with the quality that the scene's properties ask for."""
+    if (earlier := find()) is not None:  # of a run that was cut off
+        close_stage(earlier)
+    present = scene.curecon.present
+    preset = PRESETS[present.quality]
+    stage = scene.copy()
+    stage.name = NAME
+    stage[presentation.ROLE_KEY] = STAGE_ROLE
+    render, view = stage.render, stage.view_settings
+    known = {item.identifier for item in render.bl_rna.properties["engine"].enum_items}
+    render.engine = "CYCLES" if present.engine == "CYCLES" else next(name for name in EEVEES if name in known)
+    if hasattr(stage, "cycles"):  # the Cycles add-on can be switched off
+        stage.cycles.samples, stage.cycles.max_bounces = preset.samples, 4
+        # Photos' colours have no noise to be taken away, only detail.
+        stage.cycles.use_denoising = scene.curecon.surface_light == "SCENE"
+    stage.eevee.taa_render_samples = preset.samples
+    render.use_persistent_data = True  # a film's frames share the geometry
+    render.use_compositing = render.use_sequencer = render.use_border = render.use_stamp = False
+    render.resolution_percentage, render.pixel_aspect_x, render.pixel_aspect_y = 100, 1, 1
+    # As they are on the photos: other view transforms would change them.
+    view.view_transform, view.look, view.exposure, view.gamma = "Standard", "None", 0, 1
+    return stage
+
+
+def find() -> bpy.types.Scene | None:
+    """The stage that is open, if any."""
+    return next((item for item in bpy.data.scenes if item.get(presentation.ROLE_KEY) == STAGE_ROLE), None)
+
+
+def close_stage(stage: bpy.types.Scene) -> None:
+    """Take away the copy, with the cameras that only it has."""
+    own = [item for item in stage.collection.objects if item.get(presentation.ROLE_KEY) == STAGE_ROLE]
+    for camera in own:
+        bpy.data.cameras.remove(camera.data)
+    bpy.data.scenes.remove(stage)
+
+
+def set_up(stage: bpy.types.Scene, shot: Shot) -> None:
+    """Make the stage ready for a shot."""
+    render, settings = stage.render, stage.render.image_settings
+    stage.camera = bpy.data.objects[shot.camera]
+    render.resolution_x, render.resolution_y = shot.size
+    render.film_transparent = shot.clear
+    render.filepath = str(shot.file)
+    stage.frame_start, stage.frame_end = 1, shot.frames
+    film = shot.frames > 1
+    if hasattr(settings, "media_type"):  # Blender 5
+        settings.media_type = "VIDEO" if film else "IMAGE"
+    settings.file_format = "FFMPEG" if film else "PNG"
+    settings.color_mode = "RGBA" if shot.clear else "RGB"
+    if film:
+        encoding = render.ffmpeg
+        encoding.format, encoding.codec, encoding.audio_codec = "MPEG4", "H264", "NONE"
+        encoding.constant_rate_factor, encoding.gopsize = "HIGH", 12
+    else:
+        settings.color_depth = "8"
+
+
+def add_still(stage: bpy.types.Scene, name: str, about: site.Box, azimuth: float, height: float) -> str:
+    """A camera of the stage alone that sees all of the box; returns the object's name. See flight.look_from."""
+    camera = _own_camera(stage, flight.new_lens(name, about))
+    place, rotation = flight.look_from(about, azimuth, height)
+    camera.rotation_mode = "QUATERNION"
+    camera.location, camera.rotation_quaternion = place, rotation
+    return camera.name
+
+
+def add_orbit(stage: bpy.types.Scene, about: site.Box, path: CameraPath) -> str:
+    """A camera of the stage alone that goes along `path`; returns the object's name."""
+    camera = _own_camera(stage, flight.new_lens("Turntable", about))
+    flight.animate(camera, path)
+    return camera.name
+
+
+def add_square(
+    stage: bpy.types.Scene, name: str, about: site.Box, axes: np.ndarray, size: tuple[float, float]
+) -> str:
+    """An orthographic camera of the stage alone that sees just the box's depth; returns the object's name.
+
+    `axes` (3,3) are rows: right, up and out towards the viewer; `size` is the picture's width and height in scene
+    units.
+    """
+    data = bpy.data.cameras.new(name)
+    depth = float(np.abs(np.array([about.axis(i) for i in range(3)]) @ axes[2]) @ about.half) * 1.001
+    data.type, data.sensor_fit, data.ortho_scale = "ORTHO", "HORIZONTAL", size[0]
+    data.clip_start, data.clip_end = depth * 1e-4, 2 * depth
+    camera = _own_camera(stage, data)
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = axes.T, about.centre + depth * axes[2]
+    camera.matrix_world = Matrix(matrix.tolist())
+    return camera.name
+
+
+def read_pixels(file: Path) -> np.ndarray:
+    """A rendered PNG on white paper, (H,W,3) sRGB bytes, top row first."""
+    image = bpy.data.images.load(str(file))
+    try:
+        image.alpha_mode = "STRAIGHT"
+        width, height = image.size
+        values = np.empty((height, width, 4), np.float32)
+        image.pixels.foreach_get(values.ravel())
+    finally:
+        bpy.data.images.remove(image)
+    alpha = values[::-1, :, 3:]
+    return np.rint(255 * (values[::-1, :, :3] * alpha + 1 - alpha)).astype(np.uint8)
+
+
+def _own_camera(stage: bpy.types.Scene, data: bpy.types.Camera) -> bpy.types.Object:
+    camera = bpy.data.objects.new(data.name, data)
+    camera[presentation.ROLE_KEY] = STAGE_ROLE
+    stage.collection.objects.link(camera)
+    return camera

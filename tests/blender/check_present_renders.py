@@ -1,0 +1,175 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Sheets that measure right, stills and a film that plays, and a scene left as it was. Argument: a folder."""
+
+from __future__ import annotations
+
+import re
+import struct
+import sys
+import zlib
+from pathlib import Path
+
+import bpy
+import numpy as np
+import surface_scene
+import workspace_scene
+
+import curecon_blender
+from curecon_blender.operators import rendering
+
+FOLDER, OUT = Path(sys.argv[1]), Path(sys.argv[1]) / "out"
+
+
+def pixels_of(path: Path) -> np.ndarray:
+    """A picture as (H,W,3) in [0, 1], bottom row first."""
+    image = bpy.data.images.load(str(path))
+    values = np.empty(image.size[0] * image.size[1] * 4, np.float32)
+    image.pixels.foreach_get(values)
+    values = values.reshape(image.size[1], image.size[0], 4)[..., :3]
+    bpy.data.images.remove(image)
+    return values
+
+
+def coloured(pixels: np.ndarray) -> np.ndarray:
+    """Where (H,W) there is colour: ink and paper are grey."""
+    return np.ptp(pixels, axis=2) > 0.2
+
+
+def extent(found: np.ndarray) -> tuple[int, int]:
+    """Width and height in pixels of what is marked (H,W)."""
+    rows, columns = np.flatnonzero(found.any(axis=1)), np.flatnonzero(found.any(axis=0))
+    return int(np.ptp(columns)) + 1, int(np.ptp(rows)) + 1
+
+
+def pixels_a_metre(path: Path) -> int:
+    """What the PNG itself says, in its pHYs."""
+    content = path.read_bytes()
+    start = content.index(b"pHYs") + 4
+    across, along, unit = struct.unpack(">IIB", content[start : start + 9])
+    assert across == along and unit == 1
+    return across
+
+
+def pages_of(path: Path) -> list[tuple[tuple[float, float], float, np.ndarray]]:
+    """Of each page of our PDF: its size in mm, and its drawing's mm a pixel with the pixels (H,W,3)."""
+    content = path.read_bytes()
+    boxes = re.findall(rb"/MediaBox \[0 0 ([\d.]+) ([\d.]+)\]", content)
+    images = [
+        (int(width), int(height), zlib.decompress(content[match_end : match_end + int(length)]))
+        for width, height, length, match_end in (
+            (m[1], m[2], m[3], m.end()) for m in
+            re.finditer(rb"/Width (\d+) /Height (\d+).*?/Length (\d+) >>\nstream\n", content)
+        )
+    ]
+    drawn = []
+    for match in re.finditer(rb"<< /Filter /FlateDecode /Length (\d+) >>\nstream\n", content):
+        page = zlib.decompress(content[match.end() : match.end() + int(match[1])])
+        drawn.append(float(re.search(rb"q ([\d.]+) 0 0 ([\d.]+)", page)[1]))
+    pages = []
+    for (across, along), (width, height, data), shown in zip(boxes, images, drawn, strict=True):
+        rows = np.frombuffer(data, np.uint8).reshape(height, -1)[:, 1:]
+        picture = np.cumsum(rows, axis=0, dtype=np.uint8).reshape(height, width, 3) / 255
+        pages.append(((float(across) / 72 * 25.4, float(along) / 72 * 25.4), shown / width, picture))
+    return pages
+
+
+def load(scale: str) -> bpy.types.Scene:
+    folder = FOLDER / scale
+    workspace_scene.write(folder, scale=scale)
+    surface_scene.write(folder, textured=False)
+    bpy.ops.wm.read_homefile(use_empty=True)
+    bpy.ops.curecon.import_workspace(directory=str(folder))
+    scene = bpy.context.scene
+    scene.curecon.present.folder = str(OUT)
+    scene.curecon.present.title = "Tent 土楼"
+    return scene
+
+
+def kept(scene: bpy.types.Scene) -> tuple[object, ...]:
+    """What the user set, and how much there is in the file."""
+    render = scene.render
+    counts = (len(bpy.data.scenes), len(bpy.data.objects), len(bpy.data.cameras), len(bpy.data.actions),
+              len(bpy.data.curves), len(bpy.data.meshes),
+              len([image for image in bpy.data.images if image.type != "RENDER_RESULT"]))
+    return (render.engine, render.resolution_x, render.filepath, render.image_settings.file_format, scene.camera,
+            scene.frame_end, scene.view_settings.view_transform, *counts)
+
+
+curecon_blender.register()
+try:
+    bpy.ops.wm.read_homefile(use_empty=True)
+    assert not bpy.ops.curecon.render_elevations.poll() and not bpy.ops.curecon.render_showreel.poll()
+    try:
+        bpy.ops.curecon.open_presentation()
+        raise AssertionError("there is no folder yet")
+    except RuntimeError as error:
+        assert "not there yet" in str(error)
+
+    scene = load("metres")
+    before = kept(scene)
+    assert bpy.ops.curecon.render_elevations() == {"FINISHED"}
+    assert kept(scene) == before, (kept(scene), before)
+    names = sorted(path.name for path in OUT.iterdir())
+    assert names == ["1_south_elevation.png", "2_east_elevation.png", "3_north_elevation.png", "4_west_elevation.png",
+                     "5_roof_plan.png", "elevations.pdf"], names
+    # The tent is 10 x 10 x 1 m: at 1:100 that is 100 x 100 x 10 mm.
+    for name, size in (("5_roof_plan.png", (10, 10)), ("2_east_elevation.png", (10, 1))):
+        path = OUT / name
+        metres = np.array(extent(coloured(pixels_of(path)))) / pixels_a_metre(path) * 100
+        assert np.abs(metres - size).max() < 0.06, (name, metres)  # a pixel is 25 mm
+    pages = pages_of(OUT / "elevations.pdf")
+    assert len(pages) == 5
+    for number, size in ((4, (10, 10)), (1, (10, 1))):
+        paper, mm, picture = pages[number]
+        assert np.allclose(paper, (297, 210), atol=0.01), paper
+        metres = np.array(extent(coloured(picture))) * mm / 1000 * 100
+        assert np.abs(metres - size).max() < 0.06, metres
+    # Seen from the east, the tent's south is on the left: green, and yellow to the north.
+    east = pages[1][2][pages[1][2].shape[0] // 2]
+    assert np.allclose(east[20], surface_scene.QUARTERS[1] / 255, atol=0.02), east[20]
+    assert np.allclose(east[-20], surface_scene.QUARTERS[3] / 255, atol=0.02), east[-20]
+
+    # A quarter turn swaps the sides; a larger scale wants a larger paper; too large a one is an error in words.
+    scene.curecon.present.facade_turn = np.pi / 2
+    scene.curecon.present.sheet_scale = "50"
+    assert bpy.ops.curecon.render_elevations() == {"FINISHED"}
+    assert (OUT / "1_east_elevation.png").is_file()
+    paper, mm, picture = pages_of(OUT / "elevations.pdf")[4]
+    assert np.allclose(paper, (420, 297), atol=0.01), paper  # 20 cm of drawing
+    assert abs(extent(coloured(picture))[0] * mm / 1000 * 50 - 10) < 0.03
+    scene.curecon.region = bpy.data.objects.new("Region", bpy.data.meshes.new("Region"))
+    scene.curecon.region.data.from_pydata([(0, 0, 0), (75, 75, 1)], [], [])
+    try:
+        bpy.ops.curecon.render_elevations()
+        raise AssertionError("1.5 m do not fit A0")
+    except RuntimeError as error:
+        assert "no paper up to A0" in str(error)
+    assert len(bpy.data.scenes) == 1 and not rendering.progress.running
+
+    scene = load("unknown")
+    for path in OUT.iterdir():
+        path.unlink()
+    assert bpy.ops.curecon.render_elevations() == {"FINISHED"}
+    pages = pages_of(OUT / "elevations.pdf")  # at one scale, whatever it is, the largest as large as A3 takes
+    assert np.allclose(pages[4][0], (420, 297), atol=0.01)
+    widths = [extent(coloured(pages[number][2]))[0] * pages[number][1] for number in (4, 1)]
+    assert abs(widths[0] - widths[1]) < 0.6 and widths[0] > 220, widths
+
+    # Stills, film and contact sheet.
+    scene.curecon.present.seconds = 1
+    scene.render.fps = 3
+    bpy.ops.curecon.move_camera(kind="CRANE")
+    before = kept(scene)
+    assert bpy.ops.curecon.render_showreel() == {"FINISHED"}
+    assert kept(scene) == before, (kept(scene), before)
+    for number in range(1, 6):
+        still = pixels_of(OUT / f"still_{number}.png")
+        assert still.shape[:2] == (540, 960) and 0.03 < coloured(still).mean() < 0.9, number
+    assert coloured(pixels_of(OUT / "contact_sheet.png")).mean() > 0.02
+    assert (OUT / "contact_sheet.pdf").is_file()
+    film = bpy.data.movieclips.load(str(OUT / "film.mp4"))
+    assert (film.frame_duration, tuple(film.size), round(film.fps)) == (3, (960, 540), 3)
+finally:
+    curecon_blender.unregister()
+print("CHECKED")
