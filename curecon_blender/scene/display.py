@@ -13,7 +13,7 @@ import numpy as np
 from mathutils import Matrix
 
 from . import region
-from .points import COLOUR, MATERIAL, colour_material, positions
+from .points import COLOUR, MATERIAL, colour_material, linear, positions
 
 MODIFIER = "CU-Recon Display"
 REMOVED = "removed"  # the attribute of points that the user took out
@@ -251,11 +251,6 @@ def _material() -> bpy.types.Material:
             element.position = place
             element.color = (*(float(value) for value in linear(np.array(srgb) / 255)), 1.0)
     return material
-
-
-def linear(srgb: np.ndarray) -> np.ndarray:
-    """sRGB in [0, 1] to linear."""
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
 
 
 def _colour(display: Display) -> None:

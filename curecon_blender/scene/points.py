@@ -151,6 +151,11 @@ def colour_material() -> bpy.types.Material:
     return material
 
 
+def linear(srgb: np.ndarray) -> np.ndarray:
+    """sRGB in [0, 1] to linear."""
+    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+
+
 def _new_pointcloud(name: str, count: int) -> bpy.types.PointCloud:
     data = bpy.data.pointclouds.new(name)
     if hasattr(data, "resize"):  # Blender 5

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..core.errors import WorkspaceError
 from ..core.mesh import Mesh
-from .points import COLOUR
+from .points import COLOUR, linear
 
 SURFACE_KEY = "curecon_surface"  # marks the mesh data that came from a workspace
 FILLED_KEY = "curecon_filled"  # marks the materials of filled faces
@@ -72,7 +72,7 @@ def add(
         corners = colours[mesh.faces]
         corners[mesh.filled, :, :3] += TINT_STRENGTH * (np.array(TINT, np.float32) - corners[mesh.filled, :, :3])
         _attribute(data, TINTED, "BYTE_COLOR", "CORNER", "color_srgb", corners)
-    mean = _linear(mesh.colours.mean(axis=0) / 255) if len(mesh.colours) else np.full(3, 0.5)
+    mean = linear(mesh.colours.mean(axis=0) / 255) if len(mesh.colours) else np.full(3, 0.5)
     for number, image in enumerate(images):
         label = name if len(images) == 1 else f"{name} {number + 1}"
         data.materials.append(_material(label, image, mean, filled=False))
@@ -128,7 +128,7 @@ def show_filled(scene: bpy.types.Scene, tinted: bool) -> None:
             # Solid shading shows the active image node, or else the viewport colour.
             if (shown := nodes.get(TINT_IMAGE_NODE if tinted else COLOUR_NODE)) is not None:
                 nodes.active = shown
-            material.diffuse_color = (*(_linear(np.array(TINT)) if tinted else material[FILLED_KEY]), 1.0)
+            material.diffuse_color = (*(linear(np.array(TINT)) if tinted else material[FILLED_KEY]), 1.0)
         attributes = item.data.color_attributes
         if (wanted := TINTED if tinted else COLOUR) in attributes:
             attributes.active_color_name = wanted
@@ -235,7 +235,7 @@ def _add_tint(
     tint, mix = nodes.new("ShaderNodeEmission"), nodes.new("ShaderNodeMixShader")
     mix.name = mix.label = FILLED_NODE
     mix.inputs[0].default_value = 0.0
-    tint.inputs["Color"].default_value = (*_linear(np.array(TINT)), 1.0)
+    tint.inputs["Color"].default_value = (*linear(np.array(TINT)), 1.0)
     tint.location, mix.location = (20, -120), (240, 100)
     links.new(shader.outputs[0], mix.inputs[1])
     links.new(tint.outputs[0], mix.inputs[2])
@@ -254,8 +254,3 @@ def _tint_image() -> bpy.types.Image:
         image = bpy.data.images.new(FILLED_KEY, 1, 1)
         image.generated_color = (*TINT, 1.0)
     return image
-
-
-def _linear(srgb: np.ndarray) -> np.ndarray:
-    """sRGB in [0, 1] to linear."""
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
