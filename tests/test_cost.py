@@ -78,7 +78,7 @@ def test_predictions_come_true_after_the_first_job(tmp_path: Path) -> None:
         assert slowness[stage] * expected[stage] == pytest.approx(3.7 * expected[stage], rel=0.01)
 
 
-def test_a_resumed_stage_is_known_as_such_and_teaches_nothing() -> None:
+def test_a_resumed_stage_is_known_as_such() -> None:
     reporter = Reporter()
     reporter.begin(("depth", "fusion"))
     reporter.stage("depth")
