@@ -35,7 +35,7 @@ EXIT_CODES = """exit codes:
   4  cameras not found        9  a library is missing from this Python
  10  no mesh or no texture can be made               130  cancelled
 """
-LIBRARIES = ("numpy", "PIL", "psutil", "cv2", "safetensors", "scipy", "torch", "pycolmap", "xatlas")
+LIBRARIES = ("numpy", "PIL", "psutil", "cv2", "safetensors", "scipy", "torch", "pycolmap", "xatlas", "numba")
 REQUIREMENTS = Path(__file__).resolve().parent.parent / "requirements.txt"
 PLAIN_LINE_EVERY = 10.0  # seconds between progress lines in a pipe
 ORPHAN_GRACE = 20.0  # seconds a worker may take to stop by itself once its parent is gone
