@@ -147,6 +147,30 @@ def test_a_disk_that_fills_up_on_the_way_goes_on_when_there_is_room(
     assert run.summary["points"] == finished[1].summary["points"]
 
 
+@pytest.mark.parametrize("mounted", ["size=64m"], indirect=True)
+def test_a_disk_that_fills_up_while_the_surface_is_made(finished: tuple[Path, Run], mounted: Path) -> None:
+    workspace, filler = mounted / "w", mounted / "filler"
+    shutil.copytree(finished[0], workspace)
+    small = ["--max-faces", "20000", "--texture-size", "1024"]
+
+    def with_room_for(size: int) -> Run:
+        free = os.statvfs(mounted)
+        filler.write_bytes(bytes(free.f_bavail * free.f_frsize - size))
+        run = curecon("surface", workspace, *small)
+        filler.unlink()
+        return run
+
+    refused(with_room_for(300_000), 5, "full")
+    assert not (workspace / "mesh.ply").exists() and (workspace / "cloud.ply").exists()
+    assert not (workspace / ".mesh").exists()  # what the stage worked with is gone
+    assert curecon("surface", workspace, *small, "--until", "mesh").code == 0
+    mesh = (workspace / "mesh.ply").read_bytes()
+    refused(with_room_for(300_000), 5, "full")
+    assert (workspace / "mesh.ply").read_bytes() == mesh and not (workspace / "textured" / "mesh.ply").exists()
+    assert curecon("surface", workspace, *small).code == 0
+    assert (workspace / "textured" / "mesh.ply").exists()
+
+
 @pytest.fixture
 def own_weights(tmp_path: Path) -> Path:
     for suffix in (".safetensors", ".json"):
