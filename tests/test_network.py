@@ -13,7 +13,7 @@ from box_scene import cast, make_view, write_scene
 
 from curecon_blender.core.depth import DepthEstimator, Tile, plan_tiles, visible_region
 from curecon_blender.core.errors import DeviceError
-from curecon_blender.core.fused_cost_volume import fused_cost_volume
+from curecon_blender.core.fused_cost_volume import Matching, fused_cost_volume
 from curecon_blender.core.matching_scores import depth_range, matching_score
 from curecon_blender.core.network import (
     PAPER,
@@ -228,7 +228,8 @@ def test_the_fused_cost_volume_is_the_plain_one_with_its_gradients(level: int, v
     results = []
     for compute in (plain_cost_volume, fused_cost_volume):
         own = [value.clone().requires_grad_() for value in values]
-        volume = compute(own[0], own[1:4], terms, weights, inverse_depth, 8, own[4], own[5] if visibility else None)
+        volume = compute(Matching(own[0], own[1:4], terms, weights, inverse_depth), 8, own[4],
+                         own[5] if visibility else None)
         (volume * upstream).sum().backward()
         results.append([volume, *[value.grad for value in own[: 6 if visibility else 5]]])
     assert (results[0][0] == 0).any()  # there are places that no source sees

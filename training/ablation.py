@@ -27,6 +27,7 @@ from torch import Tensor
 
 from curecon_blender.core import network as network_module
 from curecon_blender.core.allocator import use_large_pages
+from curecon_blender.core.fused_cost_volume import Matching
 from curecon_blender.core.network import PAPER, LCMMVSNet, LevelOutput, NetworkConfig
 from training import train
 from training.dataset import Sample, training_sample
@@ -48,19 +49,16 @@ class Rival:
     equal_scores: bool = False
 
 
-def variance(
-    self: LCMMVSNet, level: int, reference: Tensor, sources: list[Tensor], terms: list[tuple[Tensor, Tensor]],
-    weights: Tensor, inverse_depth: Tensor, out: Tensor | None = None,
-) -> Tensor:
+def variance(self: LCMMVSNet, level: int, given: Matching, out: Tensor | None = None) -> Tensor:
     """MVSNet's cost in place of Eq. 2: the variance over the views, in the mean of a group's channels."""
-    b, c = reference.shape[:2]
+    b, c = given.reference.shape[:2]
     k = self.config.groups[level]
-    first = reference.unsqueeze(2).expand(-1, -1, inverse_depth.shape[1], -1, -1)
+    first = given.reference.unsqueeze(2).expand(-1, -1, given.inverse_depth.shape[1], -1, -1)
     total, squares = first, first.square()
-    for source, (rotated, shifted) in zip(sources, terms, strict=True):
-        warped, _ = network_module.warp(source, rotated, shifted, inverse_depth)
+    for source, (rotated, shifted) in zip(given.sources, given.terms, strict=True):
+        warped, _ = network_module.warp(source, rotated, shifted, given.inverse_depth)
         total, squares = total + warped, squares + warped.square()
-    count = len(sources) + 1
+    count = len(given.sources) + 1
     spread = squares / count - (total / count).square()
     cost = spread.reshape(b, k, c // k, *spread.shape[2:]).mean(2)
     return cost if out is None else out.copy_(cost)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from math import exp
 from typing import Any
 
@@ -27,39 +28,42 @@ _ZERO, _HALF, _ONE, _SMALL = np.float32(0), np.float32(0.5), np.float32(1), np.f
 BAND_BYTES = 4 << 20  # of float32 costs that a thread makes at once: what fits the processor's cache
 
 
+@dataclass(frozen=True)
+class Matching:
+    """What a cost volume is made of: the reference's features (B,C,h,w), each source's (B,C,hs,ws), the terms of each
+    source's homographies (network.homography_terms), the sources' weights (B,N), and inverse depths (B,M,h,w)."""
+
+    reference: Tensor
+    sources: list[Tensor]
+    terms: list[tuple[Tensor, Tensor]]
+    weights: Tensor
+    inverse_depth: Tensor
+
+
 def fused_cost_volume(
-    reference: Tensor,
-    sources: list[Tensor],
-    terms: list[tuple[Tensor, Tensor]],
-    weights: Tensor,
-    inverse_depth: Tensor,
-    groups: int,
-    alpha: Tensor,
-    beta: Tensor | None,
-    out: Tensor | None = None,
+    given: Matching, groups: int, alpha: Tensor, beta: Tensor | None, out: Tensor | None = None
 ) -> Tensor:
-    """(B,K,M,h,w) from the reference's features (B,C,h,w), each source's, the terms of its homographies and its weights
-    (B,N). `alpha` and `beta` are the level's scalars; without `beta` no source has more say where it agrees better or
-    less where it sees nothing. All on a CPU.
+    """(B,K,M,h,w) for K groups. `alpha` and `beta` are the level's scalars; without `beta` no source has more say where
+    it agrees better or less where it sees nothing. All on a CPU.
 
     The result is float32, laid out channels-last, and has gradients; or, without gradients, it is written to `out`, of
     any type, which is returned.
     """
-    c = reference.shape[1]
-    scaled = (reference * (groups / c)).permute(0, 2, 3, 1).float()  # a group's mean becomes a sum
-    laid = [source.permute(0, 2, 3, 1).float() for source in sources]
+    # A group's mean becomes a sum.
+    scaled = (given.reference * (groups / given.reference.shape[1])).permute(0, 2, 3, 1).float()
+    laid = [source.permute(0, 2, 3, 1).float() for source in given.sources]
     strength = alpha.new_zeros(()) if beta is None else beta
     volumes = []
-    for i in range(len(reference)):
-        rotated = torch.stack([rotation[i] for rotation, _ in terms]).float()
-        shifted = torch.stack([shift[i, :, 0] for _, shift in terms]).float()
-        given = (rotated, shifted, inverse_depth[i].float(), weights[i].float())
+    for i in range(len(scaled)):
+        rotated = torch.stack([rotation[i] for rotation, _ in given.terms]).float()
+        shifted = torch.stack([shift[i, :, 0] for _, shift in given.terms]).float()
+        fixed = (rotated, shifted, given.inverse_depth[i].float(), given.weights[i].float())
         own = [source[i] for source in laid]
         if out is not None:
-            _fill(out[i].permute(1, 2, 3, 0), _arguments(scaled[i], alpha, strength, given, beta is not None, own))
+            _fill(out[i].permute(1, 2, 3, 0), _arguments(scaled[i], alpha, strength, fixed, beta is not None, own))
             continue
         volume: Tensor = _Fused.apply(
-            scaled[i], alpha, strength, given, groups, beta is not None, *own)
+            scaled[i], alpha, strength, fixed, groups, beta is not None, *own)
         volumes.append(volume.permute(3, 0, 1, 2))
     return torch.stack(volumes) if out is None else out
 
@@ -85,20 +89,20 @@ class _Fused(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, reference: Tensor, alpha: Tensor, beta: Tensor, given: tuple[Tensor, ...], groups: int,
+        ctx: Any, reference: Tensor, alpha: Tensor, beta: Tensor, fixed: tuple[Tensor, ...], groups: int,
         visibility: bool, *sources: Tensor,
     ) -> Tensor:
         ctx.save_for_backward(reference, alpha, beta, *sources)
-        ctx.given, ctx.groups, ctx.visibility = given, groups, visibility
+        ctx.fixed, ctx.visibility = fixed, visibility
         h, w = reference.shape[:2]
-        volume = reference.new_empty((given[2].shape[0], h, w, groups))
-        _fill(volume, _arguments(reference, alpha, beta, given, visibility, sources))
+        volume = reference.new_empty((fixed[2].shape[0], h, w, groups))
+        _fill(volume, _arguments(reference, alpha, beta, fixed, visibility, sources))
         return volume
 
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         reference, alpha, beta, *sources = ctx.saved_tensors
-        arguments = _arguments(reference, alpha, beta, ctx.given, ctx.visibility, sources)
+        arguments = _arguments(reference, alpha, beta, ctx.fixed, ctx.visibility, sources)
         upstream = np.ascontiguousarray(gradient.float().numpy())
         h, w, c = reference.shape
         to_reference = np.zeros((h, w, c), np.float32)
@@ -126,7 +130,7 @@ def _in_bands(height: int, work: Callable[[int, int, int], None]) -> None:
 
 
 def _arguments(
-    reference: Tensor, alpha: Tensor, beta: Tensor, given: tuple[Tensor, ...], visibility: bool,
+    reference: Tensor, alpha: Tensor, beta: Tensor, fixed: tuple[Tensor, ...], visibility: bool,
     sources: tuple[Tensor, ...] | list[Tensor],
 ) -> tuple[Any, ...]:
     """What both kernels begin with: reference (h,w,C), sources (N,P,C) with P their most pixels, sizes (N,2) as
@@ -136,7 +140,7 @@ def _arguments(
     together = np.zeros((len(sources), pixels, reference.shape[2]), np.float32)
     for place, source in zip(together, sources, strict=True):
         place[: source.shape[0] * source.shape[1]] = source.detach().reshape(-1, source.shape[2]).numpy()
-    rotated, shifted, inverse_depth, weights = (np.ascontiguousarray(each.numpy()) for each in given)
+    rotated, shifted, inverse_depth, weights = (np.ascontiguousarray(each.numpy()) for each in fixed)
     return (np.ascontiguousarray(reference.detach().numpy()), together, sizes, rotated, shifted, inverse_depth, weights,
             np.float32(alpha.item()), np.float32(beta.item()), visibility)
 

@@ -12,8 +12,7 @@ l = 2, 1, 0 works at 1/4, 1/2, 1/1 of the photo. Pixel centres lie at .5. Depth 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import torch
@@ -21,7 +20,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-from .fused_cost_volume import fused_cost_volume
+from .fused_cost_volume import Matching, fused_cost_volume
 
 LEVELS = (2, 1, 0)  # coarse to fine
 LOCAL = 2  # hypotheses on each side of the likeliest that a linear decoder averages
@@ -211,25 +210,16 @@ def warp(feature: Tensor, rotated: Tensor, shifted: Tensor, inverse_depth: Tenso
     return warped.reshape(b, -1, m, h, w), seen
 
 
-def plain_cost_volume(
-    reference: Tensor,
-    sources: list[Tensor],
-    terms: list[tuple[Tensor, Tensor]],
-    weights: Tensor,
-    inverse_depth: Tensor,
-    groups: int,
-    alpha: Tensor,
-    beta: Tensor | None,
-) -> Tensor:
+def plain_cost_volume(given: Matching, groups: int, alpha: Tensor, beta: Tensor | None) -> Tensor:
     """What fused_cost_volume computes, arguments as there, in torch's own operations: for graphics cards."""
-    b, c = reference.shape[:2]
-    scaled = (reference * (groups / c)).unsqueeze(2)  # the mean over a group's channels becomes a sum
-    total = norm = torch.zeros((), device=reference.device)
-    for i, (source, (rotated, shifted)) in enumerate(zip(sources, terms, strict=True)):
-        warped, seen = warp(source, rotated, shifted, inverse_depth)
-        product = (warped * scaled).reshape(b, groups, c // groups, *inverse_depth.shape[1:])
+    b, c = given.reference.shape[:2]
+    scaled = (given.reference * (groups / c)).unsqueeze(2)  # the mean over a group's channels becomes a sum
+    total = norm = torch.zeros((), device=scaled.device)
+    for i, (source, (rotated, shifted)) in enumerate(zip(given.sources, given.terms, strict=True)):
+        warped, seen = warp(source, rotated, shifted, given.inverse_depth)
+        product = (warped * scaled).reshape(b, groups, c // groups, *given.inverse_depth.shape[1:])
         similarity = product.sum(2) if c > groups else product[:, :, 0]
-        weight = weights[:, i].view(-1, 1, 1, 1, 1)
+        weight = given.weights[:, i].view(-1, 1, 1, 1, 1)
         if beta is not None:
             weight = weight * seen * torch.exp(beta * similarity.mean(1, keepdim=True))
         total, norm = total + weight * seen * similarity, norm + weight
@@ -275,54 +265,36 @@ class LCMMVSNet(nn.Module):
         features: tuple[Tensor, Tensor, Tensor] = self.features((images - 0.45) / 0.25)
         return features
 
-    def cost_volume(
-        self,
-        level: int,
-        reference: Tensor,
-        sources: list[Tensor],
-        terms: list[tuple[Tensor, Tensor]],
-        weights: Tensor,
-        inverse_depth: Tensor,
-        out: Tensor | None = None,
-    ) -> Tensor:
-        """Eq. 2, the learnable cost metric: (B,K,M,h,w) from the reference's features (B,C,h,w), each source's, and
-        weights S_i / sum S (B,N), which `visibility` refines for each voxel. On a CPU, without gradients, it can be
-        written to `out`."""
+    def cost_volume(self, level: int, given: Matching, out: Tensor | None = None) -> Tensor:
+        """Eq. 2, the learnable cost metric: (B,K,M,h,w) from features and weights S_i / sum S, which `visibility`
+        refines for each voxel. On a CPU, without gradients, it can be written to `out`."""
         beta = self.beta[level] if self.config.visibility else None
         groups, alpha = self.config.groups[level], self.alpha[level]
-        arguments = (reference, sources, terms, weights, inverse_depth, groups, alpha, beta)
-        return fused_cost_volume(*arguments, out) if reference.device.type == "cpu" else plain_cost_volume(*arguments)
+        if given.reference.device.type == "cpu":
+            return fused_cost_volume(given, groups, alpha, beta, out)
+        return plain_cost_volume(given, groups, alpha, beta)
 
-    def regularised(
-        self,
-        level: int,
-        reference: Tensor,
-        sources: list[Tensor],
-        terms: list[tuple[Tensor, Tensor]],
-        weights: Tensor,
-        inverse_depth: Tensor,
-        context: Tensor,
-    ) -> Tensor:
-        """Logits (B,M,h,w) from the cost volume (arguments as there) with the context (B,C,1,h,w) behind it."""
-        b, m, h, w = inverse_depth.shape
-        volume = partial(self.cost_volume, level, reference, sources, terms, weights)
+    def regularised(self, level: int, given: Matching, context: Tensor) -> Tensor:
+        """Logits (B,M,h,w) from the cost volume with the context (B,C,1,h,w) behind it."""
+        b, m, h, w = given.inverse_depth.shape
         if torch.is_grad_enabled():
-            cost = torch.cat([volume(inverse_depth), context.expand(-1, -1, m, -1, -1)], 1)
+            cost = torch.cat([self.cost_volume(level, given), context.expand(-1, -1, m, -1, -1)], 1)
         else:  # filled in place, in the type and layout that the regulariser takes
-            device, groups = inverse_depth.device, self.config.groups[level]
+            device, groups = context.device, self.config.groups[level]
             autocast = torch.is_autocast_enabled(device.type)
             cost = torch.empty(
                 (b, groups + context.shape[1], m, h, w), device=device, memory_format=torch.channels_last_3d,
-                dtype=torch.get_autocast_dtype(device.type) if autocast else inverse_depth.dtype,
+                dtype=torch.get_autocast_dtype(device.type) if autocast else given.inverse_depth.dtype,
             )
             cost[:, groups:] = context
             if device.type == "cpu":
-                volume(inverse_depth, out=cost[:, :groups])
+                self.cost_volume(level, given, cost[:, :groups])
             else:
                 # Some hypotheses at a time: the warped features, not the volume, are what is large.
                 step = max(1, SLICE_BYTES // (4 * self.config.channels[level] * h * w))
                 for at in range(0, m, step):
-                    cost[:, :groups, at : at + step] = volume(inverse_depth[:, at : at + step])
+                    some = replace(given, inverse_depth=given.inverse_depth[:, at : at + step])
+                    cost[:, :groups, at : at + step] = self.cost_volume(level, some)
         logits: Tensor = self.regularisers[level](cost).float()
         return logits
 
@@ -385,8 +357,8 @@ class LCMMVSNet(nn.Module):
             if config.cosine:
                 matched = [_unit(features) for features in matched]
             context = self.context[level](reference[level]) if self.config.context else reference[level][:, :0]
-            logits = self.regularised(
-                level, matched[0], matched[1:], terms, weights, inverse_depth, context.unsqueeze(2))
+            given = Matching(matched[0], matched[1:], terms, weights, inverse_depth)
+            logits = self.regularised(level, given, context.unsqueeze(2))
             decode = decode_linear if config.representation == "linear" else decode_unified
             outputs.append(LevelOutput(logits, first, interval, *decode(logits, first, interval)))
         return outputs
