@@ -216,7 +216,8 @@ def _north(sheet: Sheet, letters: Letters, north: float, x: float, y: float) -> 
         sheet.fills.append(Fill(triangles=_anticlockwise(half)))
         if side == 1:
             sheet.fills.append(Fill(triangles=_anticlockwise(_inset(half, LINE)), colour=WHITE))
-    _write(sheet, letters, "N", *(tip + 2 * along - np.array([0, 0.9])), 2.6, align=0.5)
+    name = tip + 2 * along
+    _write(sheet, letters, "N", name[0], name[1] - 0.9, 2.6, align=0.5)
 
 
 def _inset(triangles: np.ndarray, distance: float) -> np.ndarray:

@@ -57,9 +57,9 @@ def write_pdf(path: Path, sheets: list[Sheet], title: str) -> None:
     with atomic_write(path) as file:
         file.write(b"%PDF-1.5\n%\xe2\xe3\xcf\xd3\n")
         places = []
-        for number, content in enumerate(objects, start=1):
+        for number, entry in enumerate(objects, start=1):
             places.append(file.tell())
-            file.write(b"%d 0 obj\n%s\nendobj\n" % (number, content))
+            file.write(b"%d 0 obj\n%s\nendobj\n" % (number, entry))
         start = file.tell()
         file.write(b"xref\n0 %d\n0000000000 65535 f \n" % (len(objects) + 1))
         file.writelines(b"%010d 00000 n \n" % place for place in places)

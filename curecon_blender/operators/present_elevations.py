@@ -24,8 +24,10 @@ class CURECON_OT_render_elevations(RenderSeries, bpy.types.Operator):
         return [elevation.shot for elevation in self._plan.elevations]
 
     def done(self, scene: bpy.types.Scene, folder: Path) -> str:
-        files = elevations.write_sheets(self._plan, folder, rendering.title_of(scene), rendering.today())
-        return f"{len(files) - 1} sheets and {files[0].name} are in {folder}."
+        bare = elevations.write_sheets(self._plan, folder, rendering.title_of(scene), rendering.today())
+        if bare:
+            self.report({"WARNING"}, f"Next to nothing was measured on: {', '.join(bare)}.")
+        return f"{len(self._plan.elevations)} sheets and elevations.pdf are in {folder}."
 
 
 CLASSES = (CURECON_OT_render_elevations,)

@@ -70,9 +70,7 @@ def _set_sun(scene: bpy.types.Scene) -> tuple[str, str]:
         raise WorkspaceError(
             "No photo says when it was taken.", remedy="Add a Sun lamp by hand (Add > Light > Sun).",
         )
-    known = place.latitude is not None
-    latitude = place.latitude if known else present.latitude
-    longitude = place.longitude if known else present.longitude
+    latitude, longitude = place.origin or (present.latitude, present.longitude)
     north = 0.0 if place.north else degrees(present.north)
     taken = capture.middle_time(times)
     utc = capture.to_utc(taken, longitude) + timedelta(hours=present.hour_correction)
@@ -86,7 +84,7 @@ def _set_sun(scene: bpy.types.Scene) -> tuple[str, str]:
     properties.surface_light = "SCENE"
     said = f"{utc:%d %B %Y, %H:%M} UTC: the sun {altitude:.0f}° high in {azimuth:.0f}°."
     guesses = [text for text, guessed in (
-        ("the place is the one typed in", not known), ("north is the one typed in", not place.north),
+        ("the place is the one typed in", place.origin is None), ("north is the one typed in", not place.north),
         ("the time zone is taken from the longitude", taken.tzinfo is None),
     ) if guessed]
     if guesses:

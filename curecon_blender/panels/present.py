@@ -49,7 +49,7 @@ class CURECON_PT_present_sun(_Part, bpy.types.Panel):
 
     def draw_part(self, context: bpy.types.Context, present: bpy.types.PropertyGroup) -> None:
         layout, place = self.layout, site.place(context.scene)
-        if place.latitude is None:
+        if place.origin is None:
             paragraph(layout, context, "The photos have no GPS: type in where the site is.", icon="INFO")
             column = layout.column(align=True)
             column.prop(present, "latitude")

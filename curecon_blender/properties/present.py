@@ -37,8 +37,8 @@ def _overlay(present: CURECON_PG_present, context: bpy.types.Context) -> None:
 class CURECON_PG_present(bpy.types.PropertyGroup):
     hour_correction: FloatProperty(
         name="Hour Correction",
-        description="Hours from -14 to 14, added to the photos' clock: for summer time, for a time zone that is not "
-                    "the longitude's, or for a clock that was wrong",
+        description="Hours from -14 to 14, added to the photos' clock: -1 for summer time where the photos tell no "
+                    "time zone, or more for a zone that is not the longitude's or a clock that was wrong",
         default=0.0, min=-14.0, max=14.0, step=25, precision=2,
     )
     latitude: FloatProperty(

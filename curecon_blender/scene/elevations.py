@@ -16,6 +16,7 @@ from ..core.sheet import Drawing
 from . import site, stage
 from .lettering import letters
 
+BARE = 0.1  # share of a drawing with anything on it, below which its side counts as not measured
 AROUND = 1.04  # of the box's size: what a drawing shows
 UP = np.array([0.0, 0.0, 1.0])
 SIDES = ("Front", "Right", "Back", "Left")  # where north is unknown
@@ -47,6 +48,7 @@ def plan(scene: bpy.types.Scene, staged: bpy.types.Scene, folder: Path) -> Plan:
     pixels_per_mm = stage.PRESETS[present.quality].sheet_pixels_per_mm
     scale = int(present.sheet_scale) if scene.curecon.result.scale == "metres" else None
     has_north = site.place(scene).north
+    stage.show_fronts_only(staged)
     x, y = about.axis(0), about.axis(1)
     views = [(side, np.array([np.cross(UP, out), UP, out])) for side, out in zip(SIDES, (-y, x, y, -x), strict=True)]
     views.append(("Roof plan", np.array([x, y, UP])))
@@ -70,20 +72,22 @@ def plan(scene: bpy.types.Scene, staged: bpy.types.Scene, folder: Path) -> Plan:
     return Plan(elevations=tuple(made), scale=scale, pixels_per_mm=pixels_per_mm)
 
 
-def write_sheets(made: Plan, folder: Path, title: str, date: str) -> list[Path]:
-    """Turn each render into its sheet, in its place, and write all as one PDF. Raises WorkspaceError."""
-    sheets, files = [], []
+def write_sheets(made: Plan, folder: Path, title: str, date: str) -> list[str]:
+    """Turn each render into its sheet, in its place, and write all as one PDF; returns the names of those on which
+    there is next to nothing. Raises WorkspaceError."""
+    sheets, bare = [], []
     for elevation in made.elevations:
+        pixels = stage.read_pixels(elevation.shot.file)
+        if np.any(pixels < 255, axis=2).mean() < BARE:
+            bare.append(elevation.name)
         drawing = Drawing(
-            pixels=stage.read_pixels(elevation.shot.file), pixels_per_mm=made.pixels_per_mm, title=title,
+            pixels=pixels, pixels_per_mm=made.pixels_per_mm, title=title,
             name=elevation.name, date=date, scale=made.scale, orientation=elevation.orientation, north=elevation.north,
         )
         sheets.append(sheet.lay_out(drawing, letters))
         sheet_files.write_png(elevation.shot.file, sheets[-1], made.pixels_per_mm)
-        files.append(elevation.shot.file)
-    document = folder / "elevations.pdf"
-    sheet_files.write_pdf(document, sheets, title)
-    return [document, *files]
+    sheet_files.write_pdf(folder / "elevations.pdf", sheets, title)
+    return bare
 
 
 def _words(side: str, axes: np.ndarray, *, is_plan: bool, has_north: bool) -> tuple[str, str, float | None]:

@@ -49,11 +49,10 @@ class Box:
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """What the import knows of the frame: is +Y north, and its origin's latitude and longitude in degrees."""
+    """What is known of the frame: is +Y north, and its origin's (latitude, longitude) in degrees."""
 
     north: bool
-    latitude: float | None
-    longitude: float | None
+    origin: tuple[float, float] | None
 
 
 def subject(scene: bpy.types.Scene) -> bpy.types.Object | None:
@@ -96,11 +95,11 @@ def place(scene: bpy.types.Scene) -> Place:
     """What is known of the frame of what is presented."""
     item = subject(scene)
     holders = [item, *item.users_collection] if item is not None else []
-    holder = next((h for h in holders if "north" in h), {})
-    return Place(
-        north=bool(holder.get("north", False)), latitude=holder.get("origin_latitude"),
-        longitude=holder.get("origin_longitude"),
-    )
+    holder = next((h for h in holders if "north" in h), None)
+    if holder is None:
+        return Place(north=False, origin=None)
+    origin = (holder["origin_latitude"], holder["origin_longitude"]) if "origin_latitude" in holder else None
+    return Place(north=bool(holder["north"]), origin=origin)
 
 
 def _box_of_region(region: bpy.types.Object, turned_by: float) -> Box:

@@ -16,9 +16,11 @@ from mathutils import Matrix
 
 from ..core.camera_path import CameraPath
 from . import flight, presentation, site
+from .surface import surfaces_of
 
 STAGE_ROLE = "stage"
 NAME = "CU-Recon Rendering"
+FRONT_NODES = ("CU-Recon Front", "CU-Recon Backfacing", "CU-Recon Nothing")
 EEVEES = ("BLENDER_EEVEE", "BLENDER_EEVEE_NEXT")  # 4.5 has the second, 5.0 and later the first
 
 
@@ -63,7 +65,7 @@ def open_stage(scene: bpy.types.Scene) -> bpy.types.Scene:
     known = {item.identifier for item in render.bl_rna.properties["engine"].enum_items}
     render.engine = "CYCLES" if present.engine == "CYCLES" else next(name for name in EEVEES if name in known)
     if hasattr(stage, "cycles"):  # the Cycles add-on can be switched off
-        stage.cycles.samples, stage.cycles.max_bounces = preset.samples, 4
+        stage.cycles.samples, stage.cycles.max_bounces, stage.cycles.transparent_max_bounces = preset.samples, 4, 64
         # Photos' colours have no noise to be taken away, only detail.
         stage.cycles.use_denoising = scene.curecon.surface_light == "SCENE"
     stage.eevee.taa_render_samples = preset.samples
@@ -81,7 +83,8 @@ def find() -> bpy.types.Scene | None:
 
 
 def close_stage(stage: bpy.types.Scene) -> None:
-    """Take away the copy, with the cameras that only it has."""
+    """Take away the copy, with the cameras that only it has and what it changed on the surfaces."""
+    _show_both_sides(stage)
     own = [item for item in stage.collection.objects if item.get(presentation.ROLE_KEY) == STAGE_ROLE]
     for camera in own:
         bpy.data.cameras.remove(camera.data)
@@ -142,6 +145,40 @@ def add_square(
     matrix[:3, :3], matrix[:3, 3] = axes.T, about.centre + depth * axes[2]
     camera.matrix_world = Matrix(matrix.tolist())
     return camera.name
+
+
+def show_fronts_only(stage: bpy.types.Scene) -> None:
+    """Let nobody see through the surfaces' backs, until the stage is closed: a façade that no photo shows stays empty,
+    and is not the opposite one from within."""
+    _show_both_sides(stage)
+    for tree in _trees(stage):
+        output = tree.get_output_node("ALL")
+        if output is None or not output.inputs["Surface"].links:
+            continue
+        kinds = ("ShaderNodeMixShader", "ShaderNodeNewGeometry", "ShaderNodeBsdfTransparent")
+        mix, geometry, nothing = (tree.nodes.new(kind) for kind in kinds)
+        for node, name in zip((mix, geometry, nothing), FRONT_NODES, strict=True):
+            node.name = name
+        tree.links.new(geometry.outputs["Backfacing"], mix.inputs[0])
+        tree.links.new(output.inputs["Surface"].links[0].from_socket, mix.inputs[1])
+        tree.links.new(nothing.outputs[0], mix.inputs[2])
+        tree.links.new(mix.outputs[0], output.inputs["Surface"])
+
+
+def _show_both_sides(stage: bpy.types.Scene) -> None:
+    for tree in _trees(stage):
+        nodes = [tree.nodes[name] for name in FRONT_NODES if name in tree.nodes]
+        if len(nodes) == len(FRONT_NODES):
+            shader, target = nodes[0].inputs[1].links[0].from_socket, nodes[0].outputs[0].links[0].to_socket
+            tree.links.new(shader, target)
+        for node in nodes:
+            tree.nodes.remove(node)
+
+
+def _trees(stage: bpy.types.Scene) -> list[bpy.types.NodeTree]:
+    """The node trees of the surfaces' materials, each once."""
+    materials = {material for item in surfaces_of(stage) for material in item.data.materials if material is not None}
+    return [material.node_tree for material in materials if material.node_tree is not None]
 
 
 def read_pixels(file: Path) -> np.ndarray:

@@ -86,6 +86,10 @@ def load(scale: str) -> bpy.types.Scene:
     return scene
 
 
+def shader_nodes() -> list[str]:
+    return sorted(node.name for material in bpy.data.materials for node in material.node_tree.nodes)
+
+
 def kept(scene: bpy.types.Scene) -> tuple[object, ...]:
     """What the user set, and how much there is in the file."""
     render = scene.render
@@ -93,7 +97,7 @@ def kept(scene: bpy.types.Scene) -> tuple[object, ...]:
               len(bpy.data.curves), len(bpy.data.meshes),
               len([image for image in bpy.data.images if image.type != "RENDER_RESULT"]))
     return (render.engine, render.resolution_x, render.filepath, render.image_settings.file_format, scene.camera,
-            scene.frame_end, scene.view_settings.view_transform, *counts)
+            scene.frame_end, scene.view_settings.view_transform, shader_nodes(), *counts)
 
 
 curecon_blender.register()
@@ -146,6 +150,14 @@ try:
     except RuntimeError as error:
         assert "no paper up to A0" in str(error)
     assert len(bpy.data.scenes) == 1 and not rendering.progress.running
+
+    # A side that no photo shows is empty, and is not the other side seen from within: the tent from below.
+    scene.curecon.region = None
+    scene.curecon.present.sheet_scale, scene.curecon.present.facade_turn = "500", 0
+    bpy.data.objects["Surface"].rotation_euler.x = np.pi
+    bpy.context.view_layer.update()
+    assert bpy.ops.curecon.render_elevations() == {"FINISHED"}
+    assert coloured(pages_of(OUT / "elevations.pdf")[4][2]).mean() < 0.01
 
     scene = load("unknown")
     for path in OUT.iterdir():
