@@ -1,7 +1,8 @@
 # make demo                 reconstruct the sample site: demo/tulou/*.blend and *.png
 # make demo PHOTOS=folder   the same for your own photos
 # make test                 lint, types and tests (with Blender 4.5, and 5.2 where Python 3.13 is there)
-# make zip                  the Blender extension in dist/
+# make zip                  the Blender extension without its libraries in dist/
+# make packages             self-contained zips and their extension repository in dist/repository (wheels/README.md)
 
 PYTHON ?= python3
 PHOTOS ?= samples/tulou/photos
@@ -13,7 +14,7 @@ PYTHON313 ?= $(shell for p in python3.13 $$HOME/.pyenv/versions/3.13*/bin/python
 VENV = .venv/bin/python
 export PYTHONPATH := $(CURDIR)
 
-.PHONY: demo test zip environment
+.PHONY: demo test zip packages environment
 
 environment: .venv/.ready
 
@@ -39,3 +40,7 @@ test: .venv/.ready $(if $(PYTHON313),.venv-blender52/.ready)
 
 zip: .venv/.ready
 	$(VENV) scripts/build_extension.py
+
+packages: .venv/.ready
+	$(VENV) scripts/wheel_locks.py fetch
+	$(VENV) scripts/build_extension.py --with-wheels

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import os
 import subprocess
 import sys
@@ -14,6 +15,12 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
+sys.path.append(str(ROOT / "scripts"))
+
+import build_extension  # noqa: E402 - the scripts are no package
+import wheel_locks  # noqa: E402
+import windows_paths  # noqa: E402
+
 SCRIPTS = ROOT / "tests" / "blender"
 
 
@@ -102,6 +109,90 @@ def test_the_zip_holds_every_file_of_the_package(archive: Path) -> None:
         ["git", "ls-files", "curecon_blender"], cwd=ROOT, capture_output=True, text=True, check=True,
     ).stdout.split()
     assert set(listed) <= packed, set(listed) - packed
+
+
+@pytest.mark.parametrize("target", wheel_locks.TARGETS, ids=lambda target: target.lock.stem)
+def test_a_lock_brings_all_that_the_worker_needs(target: wheel_locks.Target) -> None:
+    assert target.lock.is_file()
+    assert wheel_locks.check_lock(target) == []
+
+
+def test_the_locks_pin_numpy_to_blenders_own() -> None:
+    with_numpy = {target.python: target.blender()["numpy"] for target in wheel_locks.TARGETS}
+    assert with_numpy == {"3.11": "1.26.4", "3.13": "2.3.4"}
+    assert not [wheel for target in wheel_locks.TARGETS for wheel in target.wheels() if wheel.name == "numpy"]
+
+
+@pytest.fixture
+def small_lock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[wheel_locks.Target, Path]:
+    """A lock of one small wheel for this Python's Blender, and the cache that has the wheel."""
+    (tmp_path / "cache").mkdir()
+    wheel = write_wheel(tmp_path / "cache" / "curecon_probe-1.0-py3-none-any.whl", {"curecon_probe.py": "VALUE = 7\n"})
+    (tmp_path / "requirements.txt").write_text("numpy==1.26.4\ncurecon-probe==1.0\n", encoding="utf-8")
+    monkeypatch.setattr(wheel_locks, "LOCKS", tmp_path)
+    monkeypatch.setattr(wheel_locks, "REQUIREMENTS", tmp_path / "requirements.txt")
+    monkeypatch.setattr(wheel_locks, "worker_imports", lambda: {"curecon_probe"})
+    target = wheel_locks.Target("linux-x64", "3.11")
+    wheel_locks.write(target, [wheel_locks.read_wheel(wheel, target)])
+    return target, tmp_path / "cache"
+
+
+def test_a_zip_with_wheels_installs_and_its_repository_offers_it(
+    small_lock: tuple[wheel_locks.Target, Path], archive: Path, tmp_path: Path,
+) -> None:
+    if importlib.util.find_spec("bpy") is None or not sys.platform.startswith("linux"):
+        pytest.skip("bpy for Linux is not installed in this Python")
+    target, cache = small_lock
+    repository = tmp_path / "repository"
+    (built,) = build_extension.build_with_wheels(archive, [target], cache, repository)
+    build_extension.build_repository(repository)
+    (offered,) = json.loads((repository / "index.json").read_text(encoding="utf-8"))["data"]
+    assert offered["archive_url"] == f"./{built.name}" and offered["platforms"] == ["linux-x64"]
+    assert (offered["blender_version_min"], offered["blender_version_max"]) == ("4.5.0", "5.1.0")
+    run_script(Path(sys.executable), "check_wheels.py", repository, resources=tmp_path / "user")
+
+
+def test_a_zip_with_another_wheel_than_the_locked_one_is_refused(
+    small_lock: tuple[wheel_locks.Target, Path], archive: Path, tmp_path: Path,
+) -> None:
+    target, cache = small_lock
+    (wheel,) = cache.iterdir()
+    write_wheel(wheel, {"curecon_probe.py": "VALUE = 8\n"})
+    with pytest.raises(SystemExit, match="not as locked"):
+        build_extension.build_with_wheels(archive, [target], cache, tmp_path / "repository")
+
+
+def test_a_wheel_is_packed_so_that_windows_can_unpack_it(tmp_path: Path) -> None:
+    info = "curecon_probe-1.0.dist-info"
+    deep = f"{info}/licenses/" + "third_party/" * 12 + "LICENSE.txt"
+    files = {"curecon_probe.py": "", deep: "Do as you like."}
+    wheel = write_wheel(tmp_path / "curecon_probe-1.0-py3-none-any.whl", files)
+    assert windows_paths.too_long(wheel) == [deep]
+    short = tmp_path / "short.whl"
+    windows_paths.shorten(wheel, short)
+    assert windows_paths.too_long(short) == [] and windows_paths.is_shortened(short)
+    assert not windows_paths.is_shortened(wheel)
+    with zipfile.ZipFile(short) as packed:
+        gathered = packed.read(f"{info}/{windows_paths.GATHERED}").decode()
+        assert deep in gathered and "Do as you like." in gathered
+    code = write_wheel(tmp_path / "curecon_probe-2.0-py3-none-any.whl", {"curecon_probe/" * 12 + "code.py": ""})
+    with pytest.raises(SystemExit, match="too long for Windows"):
+        windows_paths.shorten(code, short)
+
+
+def write_wheel(path: Path, files: dict[str, str]) -> Path:
+    """A wheel with these files, its metadata and its record."""
+    name, version, *_ = path.name.split("-")
+    info = f"{name}-{version}.dist-info"
+    files = files | {
+        f"{info}/METADATA": f"Metadata-Version: 2.4\nName: {name}\nVersion: {version}\nLicense-Expression: MIT\n",
+        f"{info}/WHEEL": "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
+    }
+    with zipfile.ZipFile(path, "w") as archive:
+        for entry, text in files.items():
+            archive.writestr(entry, text)
+        archive.writestr(f"{info}/RECORD", "".join(f"{entry},,\n" for entry in [*files, f"{info}/RECORD"]))
+    return path
 
 
 def test_core_imports_without_blender() -> None:
