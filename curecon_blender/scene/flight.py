@@ -15,7 +15,7 @@ from ..core.camera_path import CameraPath
 from ..core.errors import SurfaceError
 from . import cameras, presentation, site
 
-LENS, SENSOR = 35.0, 36.0  # millimetres
+LENS, SENSOR = 35.0, cameras.SENSOR_WIDTH  # millimetres
 WIDE = 16 / 9  # a film's width over its height
 MARGIN = 1.05  # of the distance at which the building fills the picture
 FILM_SIZE = (1920, 1080)
@@ -122,7 +122,10 @@ def _camera(scene: bpy.types.Scene, kind: str, about: site.Box) -> bpy.types.Obj
     """The move's camera without its keys; made again, it keeps the lens that the user gave it."""
     camera = presentation.find(scene, kind)
     if camera is None:
-        return presentation.put(scene, kind, new_lens(NAMES[kind], about))
+        data = new_lens(NAMES[kind], about)
+        if kind == "FLIGHT":  # what the photos held, the film holds: their lens on a sensor of the same width
+            data.lens = float(np.median([item.data.lens for item in scene.objects if cameras.is_photo_camera(item)]))
+        return presentation.put(scene, kind, data)
     if camera.animation_data is not None and camera.animation_data.action is not None:
         bpy.data.actions.remove(camera.animation_data.action)
     return camera
