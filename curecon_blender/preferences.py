@@ -47,6 +47,8 @@ class CURECON_AP_preferences(bpy.types.AddonPreferences):
     )
 
     def draw(self, context: bpy.types.Context) -> None:
+        from .panels import self_check  # the panels need the preferences
+
         layout = self.layout
         layout.use_property_split = True
         layout.use_property_decorate = False
@@ -54,6 +56,7 @@ class CURECON_AP_preferences(bpy.types.AddonPreferences):
         layout.prop(self, "memory_gib", text="Memory Budget (GiB, 0 = Automatic)")
         layout.prop(self, "worker_python", placeholder="Blender's own Python")
         layout.prop(self, "cache", placeholder="Beside the photos")
+        self_check.draw(layout, context)
 
 
 @dataclass(frozen=True, kw_only=True)

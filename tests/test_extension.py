@@ -9,6 +9,7 @@ import json
 import os
 import subprocess
 import sys
+import venv
 import zipfile
 from pathlib import Path
 
@@ -86,6 +87,15 @@ def test_the_photo_check_and_presets(blender: Path, tmp_path: Path) -> None:
     work.mkdir()
     photos = ROOT / "samples" / "tulou" / "photos"
     run_script(blender, "check_photo_check.py", photos, work, Path(sys.executable), resources=tmp_path / "user")
+
+
+@pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="this Python has no torch for the worker")
+def test_the_installation_is_checked(tmp_path: Path) -> None:
+    if importlib.util.find_spec("bpy") is None:
+        pytest.skip("bpy is not installed in this Python")
+    venv.create(tmp_path / "bare", with_pip=False)
+    bare = tmp_path / "bare" / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+    run_script(Path(sys.executable), "check_self_check.py", Path(sys.executable), bare, resources=tmp_path / "user")
 
 
 def test_the_zip_installs_and_is_enabled(blender: Path, archive: Path, tmp_path: Path) -> None:

@@ -80,6 +80,10 @@ def main(arguments: list[str] | None = None) -> int:
 def _run(options: argparse.Namespace, reporter: Reporter) -> dict[str, object]:
     from . import pipeline
 
+    if options.command == "self-check":
+        from .self_check import self_check
+
+        return self_check(options.device, reporter)
     if options.command == "check":
         return pipeline.check(_options(options), options.thumbnails, reporter)
     return pipeline.reconstruct(_options(options), reporter)
@@ -94,11 +98,19 @@ def _require_libraries() -> None:
     for name in LIBRARIES:
         try:
             importlib.import_module(name)
-        except ImportError as error:
+        except ModuleNotFoundError as error:
+            raise SetupError(
+                f"The Python at {sys.executable} has no {error.name or name}.",
+                remedy="Install the CU-Recon zip that is made for this system and this Blender, which brings its "
+                f"libraries; or run {sys.executable} -m pip install -r {REQUIREMENTS}; or choose another Worker "
+                "Python in the add-on's preferences.", path=sys.executable,
+            ) from error
+        except (ImportError, OSError) as error:  # it is there; torch raises OSError for a missing DLL
+            missing = ("Install Microsoft's Visual C++ Redistributable (x64) and start Blender again"
+                       if sys.platform == "win32" else "Install the CU-Recon zip again")
             raise SetupError(
                 f"The Python at {sys.executable} cannot load {name}: {error}",
-                remedy=f"Run {sys.executable} -m pip install -r {REQUIREMENTS}, or choose another Worker Python in "
-                "the add-on's preferences.", path=sys.executable,
+                remedy=f"{missing}, or choose another Worker Python in the add-on's preferences.", path=sys.executable,
             ) from error
 
 
@@ -149,13 +161,15 @@ def _parser() -> argparse.ArgumentParser:
     check.add_argument("--workspace", type=Path, help="where the job would be kept, for its disk's free space")
     check.add_argument("--thumbnails", type=Path, metavar="FOLDER",
                        help="folder for small pictures of blurred and badly exposed photos")
-    for command in (run, check):
+    self_check = commands.add_parser("self-check", help="reconstruct synthetic views, and say what this computer has")
+    for command in (run, check, self_check):
         command.add_argument("--device", choices=("auto", "cpu", "cuda", "mps"), default=default["device"])
+    for command in (run, check):
         command.add_argument("--memory", type=_positive(float), dest="memory_gib", metavar="GIB",
                              help="memory budget of the depth maps")
         command.add_argument("--speeds", type=Path, metavar="FILE",
                              help="where this computer's speed is kept, for predictions")
-    for command in (run, surface, check):
+    for command in (run, surface, check, self_check):
         command.add_argument("--json", action="store_true", help="print a JSON summary as the last line")
     return parser
 

@@ -25,6 +25,7 @@ from . import (
     present_sun,
     presets,
     reconstruct,
+    self_check,
 )
 
 CLASSES = (
@@ -33,7 +34,7 @@ CLASSES = (
     *present_renders.CLASSES, *present_photos.CLASSES,
     *present_sun.CLASSES,
     *frame_scale.CLASSES, *frame_level.CLASSES, *frame_north.CLASSES, *frame_reset.CLASSES, *measure.CLASSES,
-    *cloud_points.CLASSES,
+    *cloud_points.CLASSES, *self_check.CLASSES,
 )
 
 

@@ -23,7 +23,8 @@ STAGE_NAMES = {
 }
 
 status = Status()
-step = ""  # the panel that the job was started from and that shows its progress: "photos", "reconstruct", "surface"
+# The panel that the job was started from, which shows its progress: "photos", "reconstruct", "surface", "preferences".
+step = ""
 _job: Job | None = None
 
 
@@ -205,3 +206,5 @@ def redraw_panels(context: bpy.types.Context) -> None:
                 for region in area.regions:
                     if region.type == "UI":
                         region.tag_redraw()
+            elif area.type == "PREFERENCES":
+                area.tag_redraw()

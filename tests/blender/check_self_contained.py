@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A self-contained zip in a Blender that has nothing else: install it, reconstruct photos, see the cloud. Arguments:
-the zip, a folder of photos, an empty folder, and how many photos to take (all).
+the zip, a folder of photos, an empty folder, and how many photos to take, from the last one back (all).
 
 Not part of the tests, since the zip's wheels are downloads. Run it in a Python with bpy and what bpy needs alone:
 
@@ -19,7 +19,7 @@ from pathlib import Path
 import bpy
 
 ARCHIVE, PHOTOS, FOLDER = map(Path, sys.argv[1:4])
-COUNT = int(sys.argv[4]) if len(sys.argv) > 4 else None
+COUNT = int(sys.argv[4]) if len(sys.argv) > 4 else 0
 NAME = "bl_ext.user_default.curecon_blender"
 OWN = {"cv2", "numba", "PIL", "pycolmap", "scipy", "torch", "xatlas"}
 
@@ -34,7 +34,7 @@ print(f"installed in {time.monotonic() - started:.0f} s", flush=True)
 
 site = FOLDER / "site"
 site.mkdir()
-for photo in sorted(PHOTOS.glob("*.JPG"))[:COUNT]:
+for photo in sorted(PHOTOS.glob("*.JPG"))[-COUNT:]:
     shutil.copy(photo, site)
 properties = bpy.context.scene.curecon
 preferences = bpy.context.preferences.addons[NAME].preferences
