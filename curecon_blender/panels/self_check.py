@@ -8,7 +8,7 @@ import bpy
 
 from ..operators import running
 from ..operators.self_check import STEP, described
-from .layout import draw_outcome, draw_progress, paragraph
+from .layout import draw_progress, paragraph
 
 
 def draw(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
@@ -21,10 +21,11 @@ def draw(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     if status.running:
         draw_progress(layout, status)
         return
+    box = layout.box()
     if status.failure is not None:
-        draw_outcome(layout, context, status)
+        paragraph(box, context, status.failure.message, icon="CANCEL", alert=True)
+        paragraph(box, context, status.failure.remedy)
     elif status.result is not None:
-        box = layout.box()
         box.label(text="The installation works", icon="CHECKMARK")
         for line in described(status.result.summary):
             paragraph(box, context, line)
