@@ -39,7 +39,7 @@ CLASSES = (
 
 
 def _file_import(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
-    menu.layout.operator("curecon.choose_photos", text="Drone Photos (CU-Recon)")
+    menu.layout.operator("curecon.choose_photos")
     menu.layout.operator("curecon.import_workspace", text="CU-Recon Workspace")
     menu.layout.operator("curecon.import_model", text="COLMAP Model (CU-Recon)")
 

@@ -20,7 +20,7 @@ class CURECON_OT_choose_photos(bpy.types.Operator):
     """Choose the folder with the drone's photos, then check them"""
 
     bl_idname = "curecon.choose_photos"
-    bl_label = "Choose Photos"
+    bl_label = "Drone Photos (CU-Recon)"  # what the menu of a drop says, beside what Blender can do with pictures
     bl_options = {"UNDO"}
 
     directory: StringProperty(

@@ -101,7 +101,7 @@ def draw_outcome(layout: bpy.types.UILayout, context: bpy.types.Context, status:
 def _draw_remedy(layout: bpy.types.UILayout, context: bpy.types.Context, failure: Failure) -> None:
     """The remedy as a button, where one can do it."""
     if failure.kind == "photos":
-        layout.operator("curecon.choose_photos", icon="FILE_FOLDER")
+        layout.operator("curecon.choose_photos", text="Choose Photos", icon="FILE_FOLDER")
     elif failure.kind in ("setup", "device", "worker", "weights"):
         layout.operator("preferences.addon_show", text="Open Preferences", icon="PREFERENCES").module = ADDON
     elif failure.kind == "workspace":
@@ -116,7 +116,7 @@ def draw_progress(layout: bpy.types.UILayout, status: Status) -> None:
     column.separator()
     for stage in status.stages:
         name = STAGE_NAMES.get(stage.stage, stage.stage)
-        column.progress(factor=stage.fraction, text=f"{name}  {stage.done}/{stage.total}" if stage.total else name)
+        column.progress(factor=stage.fraction, text=f"{name}  {stage.done}/{stage.total}" if stage.total > 1 else name)
     if not status.stages:
         column.label(text=f"{status.task}...")
     layout.operator("curecon.cancel", icon="X")

@@ -35,7 +35,7 @@ class CURECON_PT_photos(Panel, bpy.types.Panel):
         layout, properties, status = self.layout, context.scene.curecon, running.status
         ours = running.step == "photos"
         if not properties.photos:
-            action(layout, "curecon.choose_photos", icon="FILE_FOLDER")
+            action(layout, "curecon.choose_photos", text="Choose Photos", icon="FILE_FOLDER")
             paragraph(layout, context, "Or drop photos on the viewport: their whole folder is taken.")
             return
         checked = properties.check.folder == properties.photos
