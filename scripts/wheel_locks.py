@@ -269,7 +269,9 @@ def _download(requirements: list[str], target: Target, cache: Path) -> list[Whee
     with tempfile.TemporaryDirectory(dir=cache) as folder:
         command = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--only-binary=:all:",
                    "--dest", folder, "--implementation", "cp", "--python-version", target.python, *platforms]
-        subprocess.run([*command, *requirements], check=True)
+        if subprocess.run([*command, *requirements], check=False).returncode:
+            raise SystemExit(f"pip cannot bring {', '.join(requirements)} for {target.platform} and Python "
+                             f"{target.python}. wheels/README.md says what it needs.")
         found = []
         for path in sorted(Path(folder).iterdir()):
             found.append(read_wheel(path, target))
