@@ -7,6 +7,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import re
 import subprocess
 import sys
 import venv
@@ -149,7 +150,7 @@ def small_lock(
     return target, tmp_path / "cache"
 
 
-def test_a_zip_with_wheels_installs_and_its_repository_offers_it(
+def test_a_repository_of_zips_with_wheels_installs_and_updates(
     blender: Path, small_lock: tuple[wheel_locks.Target, Path], archive: Path, tmp_path: Path,
 ) -> None:
     if not sys.platform.startswith("linux"):
@@ -160,7 +161,18 @@ def test_a_zip_with_wheels_installs_and_its_repository_offers_it(
     build_extension.build_repository(repository)
     (offered,) = json.loads((repository / "index.json").read_text(encoding="utf-8"))["data"]
     assert offered["archive_url"] == f"./{built.name}" and offered["platforms"] == ["linux-x64"]
-    run_script(blender, "check_wheels.py", repository, resources=tmp_path / "user")
+
+    # The next release, of which nothing but the version is new.
+    light, newer = tmp_path / "curecon_blender-9.0.0.zip", tmp_path / "newer"
+    with zipfile.ZipFile(archive) as old, zipfile.ZipFile(light, "w") as new:
+        for entry in old.infolist():
+            data = old.read(entry)
+            if entry.filename == build_extension.MANIFEST:
+                data = re.sub(rb'(?m)^version = .*$', b'version = "9.0.0"', data)
+            new.writestr(entry, data)
+    build_extension.build_with_wheels(light, [target], cache, newer)
+    build_extension.build_repository(newer)
+    run_script(blender, "check_wheels.py", repository, newer, resources=tmp_path / "user")
 
 
 def test_a_zip_with_another_wheel_than_the_locked_one_is_refused(
