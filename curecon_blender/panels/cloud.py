@@ -51,7 +51,7 @@ class CURECON_PT_cloud(Panel, bpy.types.Panel):
 
     def _draw_region(self, properties: bpy.types.PropertyGroup) -> None:
         row = self.layout.row(align=True)
-        row.prop(properties, "region", text="")
+        row.prop(properties, "region", text="", placeholder="Region Box")
         row.operator("curecon.add_region", text="", icon="ADD")
         row = self.layout.row()
         row.enabled = properties.region is not None

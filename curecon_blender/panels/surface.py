@@ -76,7 +76,7 @@ class CURECON_PT_surface_advanced(AdvancedPanel, bpy.types.Panel):
         row.prop(properties, "use_region", text="")
         sub = row.row()
         sub.enabled = properties.use_region
-        sub.prop(properties, "region", text="")
+        sub.prop(properties, "region", text="", placeholder="Box")
         row.operator("curecon.add_region", text="", icon="ADD")
         layout.separator()
         layout.prop(properties, "texture_size", text="Texture Page")
