@@ -66,7 +66,10 @@ def measure(width: int, height: int, sources: int, device: str, precision: str, 
             return run
 
         estimator._features_of = timed(lambda *_: "features", estimator._features_of)  # type: ignore[method-assign]
-        network.regularised = timed(lambda level, *_: f"level {level}", network.regularised)  # type: ignore[method-assign]
+        network.regularisers_input = timed(  # type: ignore[method-assign]
+            lambda level, *_: f"level {level}", network.regularisers_input)
+        for level, regulariser in enumerate(network.regularisers):
+            regulariser.forward = timed(lambda *_, level=level: f"level {level}", regulariser.forward)
         with PeakMemory() as before:
             pass
         with PeakMemory() as peak:

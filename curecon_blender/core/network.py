@@ -274,29 +274,46 @@ class LCMMVSNet(nn.Module):
             return fused_cost_volume(given, groups, alpha, beta, out)
         return plain_cost_volume(given, groups, alpha, beta)
 
-    def regularised(self, level: int, given: Matching, context: Tensor) -> Tensor:
-        """Logits (B,M,h,w) from the cost volume with the context (B,C,1,h,w) behind it."""
-        b, m, h, w = given.inverse_depth.shape
+    def regularisers_input(
+        self,
+        level: int,
+        reference: Tensor,
+        sources: list[Tensor],
+        K: Tensor,
+        cam_from_world: Tensor,
+        weights: Tensor,
+        inverse_depth: Tensor,
+    ) -> Tensor:
+        """The cost volume of a level with the context behind it, (B,K+C,M,h,w), from its features (B,C_l,h,w)."""
+        b, m, h, w = inverse_depth.shape
+        context = self.context[level](reference) if self.config.context else reference[:, :0]
+        context = context.unsqueeze(2)
+        pixels = pixel_grid(*(torch.arange(n, device=K.device, dtype=K.dtype) + 0.5 for n in (w, h)))
+        terms = [homography_terms(level_intrinsics(K, level), cam_from_world, i + 1, pixels)
+                 for i in range(len(sources))]
+        matched = [features.float() for features in (reference, *sources)]
+        if self.config.cosine:
+            matched = [_unit(features) for features in matched]
+        given = Matching(matched[0], matched[1:], terms, weights, inverse_depth)
         if torch.is_grad_enabled():
-            cost = torch.cat([self.cost_volume(level, given), context.expand(-1, -1, m, -1, -1)], 1)
-        else:  # filled in place, in the type and layout that the regulariser takes
-            device, groups = context.device, self.config.groups[level]
-            autocast = torch.is_autocast_enabled(device.type)
-            cost = torch.empty(
-                (b, groups + context.shape[1], m, h, w), device=device, memory_format=torch.channels_last_3d,
-                dtype=torch.get_autocast_dtype(device.type) if autocast else given.inverse_depth.dtype,
-            )
-            cost[:, groups:] = context
-            if device.type == "cpu":
-                self.cost_volume(level, given, cost[:, :groups])
-            else:
-                # Some hypotheses at a time: the warped features, not the volume, are what is large.
-                step = max(1, SLICE_BYTES // (4 * self.config.channels[level] * h * w))
-                for at in range(0, m, step):
-                    some = replace(given, inverse_depth=given.inverse_depth[:, at : at + step])
-                    cost[:, :groups, at : at + step] = self.cost_volume(level, some)
-        logits: Tensor = self.regularisers[level](cost).float()
-        return logits
+            return torch.cat([self.cost_volume(level, given), context.expand(-1, -1, m, -1, -1)], 1)
+        # Filled in place, in the type and layout that the regulariser takes.
+        device, groups = context.device, self.config.groups[level]
+        autocast = torch.is_autocast_enabled(device.type)
+        filled = torch.empty(
+            (b, groups + context.shape[1], m, h, w), device=device, memory_format=torch.channels_last_3d,
+            dtype=torch.get_autocast_dtype(device.type) if autocast else inverse_depth.dtype,
+        )
+        filled[:, groups:] = context
+        if device.type == "cpu":
+            self.cost_volume(level, given, filled[:, :groups])
+            return filled
+        # Some hypotheses at a time: the warped features, not the volume, are what is large.
+        step = max(1, SLICE_BYTES // (4 * self.config.channels[level] * h * w))
+        for at in range(0, m, step):
+            some = replace(given, inverse_depth=inverse_depth[:, at : at + step])
+            filled[:, :groups, at : at + step] = self.cost_volume(level, some)
+        return filled
 
     def forward(
         self, images: Tensor, K: Tensor, cam_from_world: Tensor, near: Tensor, far: Tensor, scores: Tensor
@@ -349,16 +366,11 @@ class LCMMVSNet(nn.Module):
             else:
                 first = torch.zeros(reference[level].shape[0], 1, h, w, device=reference[level].device)
             steps = (torch.arange(m, device=first.device, dtype=first.dtype).view(1, m, 1, 1) + middle) * interval
-            inverse_depth = 1.0 / depth_from_t(first + steps, near, far)
-            pixels = pixel_grid(*(torch.arange(n, device=K.device, dtype=K.dtype) + 0.5 for n in (w, h)))
-            terms = [homography_terms(level_intrinsics(K, level), cam_from_world, i + 1, pixels)
-                     for i in range(len(sources))]
-            matched = [view[level].float() for view in (reference, *sources)]
-            if config.cosine:
-                matched = [_unit(features) for features in matched]
-            context = self.context[level](reference[level]) if self.config.context else reference[level][:, :0]
-            given = Matching(matched[0], matched[1:], terms, weights, inverse_depth)
-            logits = self.regularised(level, given, context.unsqueeze(2))
+            # Nothing of what made the regulariser's input is kept while the regulariser works.
+            logits: Tensor = self.regularisers[level](self.regularisers_input(
+                level, reference[level], [source[level] for source in sources], K, cam_from_world, weights,
+                1.0 / depth_from_t(first + steps, near, far),
+            )).float()
             decode = decode_linear if config.representation == "linear" else decode_unified
             outputs.append(LevelOutput(logits, first, interval, *decode(logits, first, interval)))
         return outputs
