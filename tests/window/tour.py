@@ -60,8 +60,6 @@ def install(person: Person) -> Wait:
     assert bpy.ops.extensions.package_install_files(
         filepath=task["archive"], repo="user_default", enable_on_install=True,
     ) == {"FINISHED"}
-    preferences = bpy.context.preferences.addons[MODULE].preferences
-    preferences.worker_python = task["worker_python"]
     person.watch_panels()
     bpy.ops.preferences.addon_show("INVOKE_DEFAULT", module=MODULE)
     yield 1.5
@@ -70,6 +68,7 @@ def install(person: Person) -> Wait:
     report["preferences"] = [other.x, person.window.height - other.y - other.height, other.width, other.height]
     with bpy.context.temp_override(window=other):
         bpy.ops.wm.window_close()
+    bpy.context.preferences.addons[MODULE].preferences.worker_python = task["worker_python"]
     yield 0.5
 
 
