@@ -263,7 +263,7 @@ def estimate_depths(
         views = {view.name: view for view in component.views}
         for view in component.views:
             path = depth_path(workspace, view.name)
-            fresh = not _is_finished(path, key)
+            fresh = not _is_finished(path, view, key)
             if fresh:
                 if view.sources:
                     depth, confidence = estimator.estimate(view, [(views[n], s) for n, s in view.sources])
@@ -281,10 +281,11 @@ def estimate_depths(
             reporter.progress(done, total, fresh=fresh)
 
 
-def _is_finished(path: Path, key: str) -> bool:
-    """Whether a photo's depth is there, whole, and made for the same options and inputs."""
+def _is_finished(path: Path, view: View, key: str) -> bool:
+    """Whether a photo's depth is there, whole, and made for the same options, inputs and camera."""
     try:
         with np.load(path) as arrays:
-            return "key" in arrays and str(arrays["key"]) == key
+            return ("key" in arrays and str(arrays["key"]) == key and np.array_equal(arrays["K"], view.K)
+                    and np.array_equal(arrays["cam_from_world"], view.cam_from_world))
     except (FileNotFoundError, zipfile.BadZipFile, ValueError, EOFError):
         return False
