@@ -50,8 +50,7 @@ class _SurfaceOperator(WorkerOperator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if running.status.running:
-            cls.poll_message_set("Another job of CU-Recon is running")
+        if not running.idle(cls):
             return False
         result = context.scene.curecon.result
         if not result.workspace:
@@ -109,10 +108,7 @@ class CURECON_OT_add_region(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if clouds_of(context.scene) or surfaces_of(context.scene):
-            return True
-        cls.poll_message_set("There is no cloud and no surface in the scene")
-        return False
+        return places.site_stands(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         around = [*clouds_of(context.scene), *surfaces_of(context.scene)][0]

@@ -17,13 +17,17 @@ from . import running
 
 
 class _CloudOperator:
+    """A subclass gives `taken`: which of a cloud's points (N,) bool are to be out in the end."""
+
+    taken: Callable[[bpy.types.Context, bpy.types.Object], np.ndarray]
     report: Callable[..., None]  # Blender's own
     poll_message_set: Callable[..., None]
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        why = "Wait for the running job of CU-Recon, or cancel it" if running.status.running else (
-            "There is no cloud in the scene" if not clouds_of(context.scene) else cls.missing(context))
+        if not running.idle(cls):
+            return False
+        why = cls.missing(context) if clouds_of(context.scene) else "There is no cloud in the scene"
         if why:
             cls.poll_message_set(why)
         return not why
@@ -32,10 +36,6 @@ class _CloudOperator:
     def missing(cls, context: bpy.types.Context) -> str:
         """What the operator lacks, in words; empty when it can run."""
         return "" if context.scene.curecon.region is not None else "Add a region box first"
-
-    def taken(self, context: bpy.types.Context, item: bpy.types.Object) -> np.ndarray:
-        """Which of the cloud's points (N,) bool are to be taken out in the end."""
-        raise NotImplementedError
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         before = after = 0

@@ -94,10 +94,7 @@ class CURECON_OT_frame_cloud(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if surfaces_of(context.scene) or clouds_of(context.scene):
-            return True
-        cls.poll_message_set("There is no cloud and no surface in the scene")
-        return False
+        return places.site_stands(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         viewport.frame(context, [*surfaces_of(context.scene), *clouds_of(context.scene)][0])

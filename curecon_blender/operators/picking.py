@@ -32,9 +32,11 @@ class PickingOperator:
     """Mixin: lets the user pick the places that are named in `places`, in order, then runs `execute`.
 
     Called with those properties set, as scripts do, it picks nothing. With `asks`, a dialog for its other properties
-    comes after the picks.
+    comes after the picks. A subclass gives `apply`, which does what was asked with the picked places (3,) in the world
+    and returns a report; it may raise CuReconError.
     """
 
+    apply: Callable[[bpy.types.Context, list[np.ndarray]], str]
     report: Callable[..., None]  # Blender's own
     places: tuple[str, ...] = ()
     prompts: tuple[str, ...] = ()  # what to pick, one a place
@@ -42,8 +44,7 @@ class PickingOperator:
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if running.status.running:
-            cls.poll_message_set("Wait for the running job of CU-Recon, or cancel it")  # type: ignore[attr-defined]
+        if not running.idle(cls):
             return False
         if not parts_of(context.scene):
             cls.poll_message_set("There is no cloud in the scene: reconstruct photos "  # type: ignore[attr-defined]
@@ -105,10 +106,6 @@ class PickingOperator:
             return {"CANCELLED"}
         viewport.redraw()
         return {"FINISHED"}
-
-    def apply(self, context: bpy.types.Context, places: list[np.ndarray]) -> str:
-        """Do what was asked with the picked places (3,) in the world; returns a report. Raises CuReconError."""
-        raise NotImplementedError
 
     def _finish(self, context: bpy.types.Context) -> set[str]:
         picked = dict(zip(self.places, overlay.picked[:], strict=True))

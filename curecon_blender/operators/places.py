@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which folders a scene's job works with."""
+"""Which folders a scene's job works with, and whether what a button works on is there."""
 
 from __future__ import annotations
 
@@ -13,12 +13,21 @@ import bpy
 from .. import ADDON
 from ..core.errors import PhotoError
 from ..preferences import settings
+from ..scene import site
 
 
 def photos_chosen(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
     """For an operator's poll: whether a photo folder has been chosen; where none has, the button says so."""
     if not context.scene.curecon.photos:
         operator.poll_message_set("Choose the folder with the drone's photos first")
+        return False
+    return True
+
+
+def site_stands(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """For an operator's poll: whether a cloud or a surface is in the scene; where none is, the button says so."""
+    if site.subject(context.scene) is None:
+        operator.poll_message_set("There is no cloud and no surface in the scene")
         return False
     return True
 

@@ -12,7 +12,7 @@ from bpy.props import EnumProperty
 
 from ..core import capture
 from ..core.errors import CuReconError, WorkspaceError
-from ..scene import flight, site
+from ..scene import flight
 from . import places, running
 
 KINDS = (
@@ -39,10 +39,7 @@ Made again, it takes the place of the earlier one"""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if site.subject(context.scene) is None:
-            cls.poll_message_set("There is no cloud and no surface in the scene")
-            return False
-        return True
+        return places.site_stands(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         scene = context.scene

@@ -41,8 +41,9 @@ class CURECON_OT_step_photo(bpy.types.Operator):
         scene = context.scene
         try:
             times = capture.read_times(places.absolute(scene.curecon.result.workspace))
-        except WorkspaceError:
-            times = {}  # names will do: nothing is lost but the order
+        except WorkspaceError as error:
+            times = {}
+            self.report({"WARNING"}, f"{error.message} The photos are gone through in order of their names.")
         found = flight.in_order(scene, times)
         step = -1 if self.back else 1
         if scene.camera in found:

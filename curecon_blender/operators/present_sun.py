@@ -26,10 +26,7 @@ Press again after a change of the settings"""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if site.subject(context.scene) is None:
-            cls.poll_message_set("There is no cloud and no surface in the scene")
-            return False
-        return True
+        return places.site_stands(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         try:

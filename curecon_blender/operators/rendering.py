@@ -13,7 +13,7 @@ import bpy
 
 from ..core.errors import CuReconError, WorkspaceError
 from ..core.files import disk_errors
-from ..scene import site, stage
+from ..scene import stage
 from . import places, running
 
 POLL_SECONDS = 0.2
@@ -63,8 +63,7 @@ class RenderSeries:
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if site.subject(context.scene) is None:
-            cls.poll_message_set("There is no cloud and no surface in the scene")
+        if not places.site_stands(cls, context):
             return False
         if progress.running or bpy.app.is_job_running("RENDER"):
             cls.poll_message_set("Blender is rendering")

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import blf
 import bpy
 
@@ -24,8 +26,12 @@ class Panel:
 
 
 class AdvancedPanel(Panel):
-    """Settings that most users never need: folded away, and locked while a job runs."""
+    """Settings that most users never need: folded away, and locked while a job runs.
 
+    A subclass gives `draw_settings`.
+    """
+
+    draw_settings: Callable[[bpy.types.Context, bpy.types.PropertyGroup], None]
     bl_label = "Advanced"
     bl_options = {"DEFAULT_CLOSED"}
 
@@ -34,9 +40,6 @@ class AdvancedPanel(Panel):
         self.layout.use_property_split = True
         self.layout.use_property_decorate = False
         self.draw_settings(context, context.scene.curecon)
-
-    def draw_settings(self, context: bpy.types.Context, properties: bpy.types.PropertyGroup) -> None:
-        raise NotImplementedError
 
 
 def wrap(text: str, context: bpy.types.Context, indent: int = 0) -> list[str]:

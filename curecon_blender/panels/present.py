@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import bpy
 
 from ..operators import rendering
@@ -30,17 +32,15 @@ class CURECON_PT_present(Panel, bpy.types.Panel):
 
 
 class _Part(Panel):
-    """A part of the step, folded on its own."""
+    """A part of the step, folded on its own. A subclass gives `draw_part`."""
 
+    draw_part: Callable[[bpy.types.Context, bpy.types.PropertyGroup], None]
     bl_parent_id = "CURECON_PT_present"
 
     def draw(self, context: bpy.types.Context) -> None:
         self.layout.use_property_split = True
         self.layout.use_property_decorate = False
         self.draw_part(context, context.scene.curecon.present)
-
-    def draw_part(self, context: bpy.types.Context, present: bpy.types.PropertyGroup) -> None:
-        raise NotImplementedError
 
 
 class CURECON_PT_present_sun(_Part, bpy.types.Panel):
