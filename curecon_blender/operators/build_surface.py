@@ -15,7 +15,7 @@ from ..scene.surface import surfaces_of
 from ..scene.workspace import clouds_of
 from . import places, running
 from .import_workspace import bring_in
-from .running import WorkerOperator
+from .running import Steps, WorkerOperator
 
 
 def surface_arguments(scene: bpy.types.Scene) -> list[str]:
@@ -68,7 +68,7 @@ class _SurfaceOperator(WorkerOperator):
         folder = str(self.workspace(context))
         return ["surface", folder, "--until", self.until, *surface_arguments(context.scene)]
 
-    def done(self, context: bpy.types.Context, scene: bpy.types.Scene, summary: dict[str, Any]) -> str:
+    def done(self, context: bpy.types.Context, scene: bpy.types.Scene, summary: dict[str, Any]) -> Steps:
         result = scene.curecon.result
         return bring_in(context, scene, places.absolute(result.workspace), photos=result.photos, frame=False)
 

@@ -7,30 +7,55 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import bpy
 from bpy.props import BoolProperty, StringProperty
 
-from ..core.errors import CuReconError
-from ..scene import cameras, surface, viewport
+from ..scene import cameras, history, surface, viewport, workspace
 from ..scene.surface import surfaces_of
-from ..scene.workspace import clouds_of, import_workspace
+from ..scene.workspace import Imported, clouds_of
 from . import places, running
+from .running import Steps, StepsOperator
 
 EASY_POINTS = 10_000_000  # what a viewport shows without trouble
 
 
 def bring_in(
     context: bpy.types.Context, scene: bpy.types.Scene, folder: Path, *, photos: int = 0, frame: bool = True
-) -> str:
+) -> Steps:
     """Import the workspace, fill the Result panel and, with `frame`, turn the viewports to what came; returns a report.
 
-    `photos` is how many were given to the job, 0 when unknown. Raises WorkspaceError.
+    `photos` is how many were given to the job, 0 when unknown. Nothing is in the scene until the last step, so that one
+    undo takes all of it back. Raises WorkspaceError.
     """
-    properties = scene.curecon
-    imported = import_workspace(scene, folder, pack=properties.pack_textures)
-    result = properties.result
+    session_uid, pack = scene.session_uid, scene.curecon.pack_textures
+    yield "Reading the workspace"
+    pool = ThreadPoolExecutor(1, thread_name_prefix="curecon-read")
+    reading = pool.submit(workspace.read, folder)
+    pool.shutdown(wait=False)
+    while not reading.done():
+        yield None
+    content = reading.result()
+    built, turns = None, -1
+    while turns != history.turns:  # an undo takes away what has been built
+        turns, building = history.turns, workspace.build(content, pack=pack)
+        try:
+            while turns == history.turns:
+                yield next(building)
+        except StopIteration as end:
+            built = end.value
+    scene = running.scene_with(session_uid)
+    imported = workspace.place(scene, content, built)
+    return _show(context, scene, folder, imported, photos=photos, frame=frame)
+
+
+def _show(
+    context: bpy.types.Context, scene: bpy.types.Scene, folder: Path, imported: Imported, *, photos: int, frame: bool
+) -> str:
+    """Tell of an import in the Result panel, and let the scene show it; returns the report."""
+    properties, result = scene.curecon, scene.curecon.result
     result.workspace, result.points, result.photos = str(folder), imported.points, photos
     result.cameras, result.parts = len(imported.cameras), imported.parts
     result.faces, result.textured, result.filled = imported.faces, imported.textured, 100 * imported.filled
@@ -54,7 +79,7 @@ def bring_in(
     return report
 
 
-class CURECON_OT_import_workspace(bpy.types.Operator):
+class CURECON_OT_import_workspace(StepsOperator, bpy.types.Operator):
     """Bring the cameras, the point cloud and the surface of an existing workspace folder into the scene"""
 
     bl_idname = "curecon.import_workspace"
@@ -68,22 +93,22 @@ class CURECON_OT_import_workspace(bpy.types.Operator):
         name="Folders", description="The file browser shows folders", default=True, options={"HIDDEN"},
     )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return running.idle(cls)
+    task = "Importing"
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         self.directory = context.scene.curecon.workspace
+        self._browsing = True
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        try:
-            self.report({"INFO"}, bring_in(context, context.scene, places.absolute(self.directory)))
-        except CuReconError as error:
-            self.report({"ERROR"}, running.explain(error))
-            return {"CANCELLED"}
-        return {"FINISHED"}
+        if getattr(self, "_browsing", False) and not bpy.app.background:  # back from the file browser
+            self._browsing = False
+            return StepsOperator.invoke(self, context, None)
+        return StepsOperator.execute(self, context)
+
+    def work(self, context: bpy.types.Context) -> Steps:
+        return bring_in(context, context.scene, places.absolute(self.directory))
 
 
 class CURECON_OT_frame_cloud(bpy.types.Operator):

@@ -20,7 +20,7 @@ from ..preferences import settings
 from . import places, running
 from .build_surface import surface_arguments
 from .import_workspace import bring_in
-from .running import WorkerOperator
+from .running import Steps, WorkerOperator
 
 
 def job_arguments(context: bpy.types.Context, *, until: str) -> list[str]:
@@ -65,7 +65,7 @@ A cancelled or broken run goes on where it stopped"""
     def arguments(self, context: bpy.types.Context) -> list[str]:
         return job_arguments(context, until=context.scene.curecon.goal)
 
-    def done(self, context: bpy.types.Context, scene: bpy.types.Scene, summary: dict[str, Any]) -> str:
+    def done(self, context: bpy.types.Context, scene: bpy.types.Scene, summary: dict[str, Any]) -> Steps:
         return bring_in(context, scene, places.workspace_folder(context, scene), photos=summary["photos"])
 
 
@@ -121,7 +121,7 @@ class CURECON_OT_import_model(WorkerOperator, bpy.types.Operator):
         properties.model = str(folder)
         return job_arguments(context, until="views")
 
-    def done(self, context: bpy.types.Context, scene: bpy.types.Scene, summary: dict[str, Any]) -> str:
+    def done(self, context: bpy.types.Context, scene: bpy.types.Scene, summary: dict[str, Any]) -> Steps:
         return bring_in(context, scene, places.workspace_folder(context, scene), photos=summary["photos"])
 
 

@@ -1,22 +1,29 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The one job that may run at a time, and what every operator that waits for a worker has in common."""
+"""The one job that may run at a time, and what operators have in common that wait for a worker or take long inside
+Blender itself."""
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import Any
 
 import bpy
 
-from ..core.errors import CuReconError
+from ..core.errors import Cancelled, CuReconError
 from ..core.messages import Failure, Log, StageStarted, failure
 from ..job import Job, Status, duration, log_path
 from ..preferences import settings
 
-POLL_SECONDS = 0.1
+POLL_SECONDS = 0.05
+STEP_SECONDS = 0.02  # a timer tick begins steps for so long: a window that waits for longer than 0.1 seems to hang
+REDRAW_SECONDS = 0.5
+# Work in steps of a few milliseconds: each says what is being done, or is None where there is nothing to do but wait.
+# Returns the report for the user.
+Steps = Generator[str | None, None, str]
 STAGE_NAMES = {
     "photos": "Photos", "sparse": "Cameras", "views": "Undistorted photos", "depth": "Depth maps",
     "fusion": "Point cloud", "mesh": "Mesh", "texture": "Texture",
@@ -32,11 +39,10 @@ def start(context: bpy.types.Context, task: str, arguments: list[str], workspace
     """Start a worker. Raises WorkerError when it cannot be started."""
     global _job, status
     chosen = settings(context)
-    status = Status(task=task)
+    status = Status(task=task, running=True)
     _job = Job(
         arguments, python=chosen.worker_python, import_paths=chosen.import_paths, log=log_path(workspace),
     )
-    status.running = True
 
 
 def idle(operator: type[bpy.types.Operator]) -> bool:
@@ -59,20 +65,13 @@ def poll() -> bool:
         elif isinstance(message, Log):
             print(f"CU-Recon: {message.text}", flush=True)
     if finished:
-        _job, status.running = None, False
+        _job = None
     return finished
 
 
-def wait() -> None:
-    """Block until the worker has ended."""
-    while not poll():
-        if _job is not None:
-            _job.wait(POLL_SECONDS)
-
-
 def cancel() -> None:
+    status.cancelling = status.running
     if _job is not None:
-        status.cancelling = True
         _job.cancel()
 
 
@@ -81,7 +80,7 @@ def close() -> None:
     global _job
     if _job is not None:
         _job.close()
-        _job, status.running = None, False
+    _job, status.running = None, False
 
 
 def line() -> str:
@@ -102,41 +101,38 @@ def explain(error: CuReconError | Failure) -> str:
     return f"{error.message} {error.remedy}"
 
 
-class WorkerOperator:
-    """Runs a worker: modal in a window, blocking in background Blender and when a script calls it.
+class StepsOperator:
+    """Works in steps: as many as fit into a moment at each timer tick in a window, and to the end at once in background
+    Blender and when a script calls it.
 
-    A subclass gives `task`, `arguments` and `done`; both may raise CuReconError, which is reported with its remedy.
-    `done` takes in the worker's result and returns the report for the user.
+    A subclass gives `work`. What it raises of CuReconError is reported with its remedy, and shown in the panel `step`.
     """
 
     task = ""
     step = "reconstruct"
-    arguments: Callable[[bpy.types.Context], list[str]]
-    done: Callable[[bpy.types.Context, bpy.types.Scene, dict[str, Any]], str]
+    work: Callable[[bpy.types.Context], Steps]
     # Blender's, of the operator that this is mixed into:
     report: Callable[[set[str], str], None]
     poll_message_set: Callable[..., None]
     _timer: bpy.types.Timer | None = None
-
-    def workspace(self, context: bpy.types.Context) -> Path | None:
-        """The job's workspace folder, if it has one."""
-        return None
+    _steps: Steps
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         return idle(cls)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        if not self._start(context):
-            return {"CANCELLED"}
-        wait()
-        return self._finish(context)
+        self._begin(context)
+        while (ended := self._go_on(math.inf)) is None:
+            time.sleep(POLL_SECONDS)
+        return ended
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if bpy.app.background or context.window is None:
             return self.execute(context)
-        if not self._start(context):
-            return {"CANCELLED"}
+        self._begin(context)
+        if (ended := self._go_on(STEP_SECONDS)) is not None:
+            return ended
         self._timer = context.window_manager.event_timer_add(POLL_SECONDS, window=context.window)
         context.window_manager.modal_handler_add(self)
         self._redrawn = 0.0
@@ -148,55 +144,91 @@ class WorkerOperator:
             return {"RUNNING_MODAL"}
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
-        finished = poll()
-        if finished or time.monotonic() - self._redrawn > 0.5:
+        ended = self._go_on(STEP_SECONDS)
+        if ended is not None or time.monotonic() - self._redrawn > REDRAW_SECONDS:
             self._redrawn = time.monotonic()
             redraw_panels(context)
-            context.workspace.status_text_set(None if finished else line())
-        if not finished:
+            context.workspace.status_text_set(None if ended is not None else line())
+        if ended is None:
             return {"PASS_THROUGH"}
         context.window_manager.event_timer_remove(self._timer)
-        return self._finish(context)
+        return ended
 
     def cancel(self, context: bpy.types.Context) -> None:
         """Blender ends the operator itself when another file is loaded or it quits."""
         close()
+        self._steps.close()
         if self._timer is not None:
             context.window_manager.event_timer_remove(self._timer)
         if context.workspace is not None:
             context.workspace.status_text_set(None)
 
-    def _start(self, context: bpy.types.Context) -> bool:
-        global step
+    def _begin(self, context: bpy.types.Context) -> None:
+        global status, step
         self._scene_uid, step = context.scene.session_uid, self.step
-        try:
-            start(context, self.task, self.arguments(context), self.workspace(context))
-        except CuReconError as error:
-            self._fail(error)
-            return False
-        return True
+        status = Status(task=self.task, running=True)
+        self._steps = self.work(context)
 
-    def _finish(self, context: bpy.types.Context) -> set[str]:
-        scene = next((s for s in bpy.data.scenes if s.session_uid == self._scene_uid), None)
+    def _go_on(self, seconds: float) -> set[str] | None:
+        """Begin steps for so long; returns what the operator ends with, None while there is more to do."""
+        deadline, said = time.monotonic() + seconds, ""
+        try:
+            while time.monotonic() < deadline:
+                if status.cancelling and _job is None:  # a worker would tell of its end itself
+                    self._steps.close()
+                    raise Cancelled
+                if (doing := next(self._steps)) is None:
+                    return None
+                status.task = doing
+            return None
+        except StopIteration as end:
+            said = end.value
+        except CuReconError as error:
+            status.failure = failure(error)
+        except BaseException:
+            close()
+            raise
+        status.running = False
         if status.failure is not None:
             level = "WARNING" if status.failure.kind == "cancelled" else "ERROR"
             self.report({level}, explain(status.failure))
             return {"CANCELLED"}
-        if scene is None:
-            self.report({"WARNING"}, "The scene that it was started from is gone; import its workspace instead.")
-            return {"CANCELLED"}
-        assert status.result is not None, "a job ends with a Result or a Failure"
-        try:
-            self.report({"INFO"}, self.done(context, scene, status.result.summary))
-        except CuReconError as error:
-            self._fail(error)
-            return {"CANCELLED"}
+        self.report({"INFO"}, said)
         return {"FINISHED"}
 
-    def _fail(self, error: CuReconError) -> None:
-        """Show the error in the panel too, where it stays."""
-        status.failure = failure(error)
-        self.report({"ERROR"}, explain(error))
+
+class WorkerOperator(StepsOperator):
+    """Runs a worker and takes in what it found.
+
+    A subclass gives `task`, `arguments` and `done`; the latter two may raise CuReconError. `done` takes in the worker's
+    result and returns the report for the user, or the steps to it.
+    """
+
+    arguments: Callable[[bpy.types.Context], list[str]]
+    done: Callable[[bpy.types.Context, bpy.types.Scene, dict[str, Any]], str | Steps]
+
+    def workspace(self, context: bpy.types.Context) -> Path | None:
+        """The job's workspace folder, if it has one."""
+        return None
+
+    def work(self, context: bpy.types.Context) -> Steps:
+        start(context, self.task, self.arguments(context), self.workspace(context))
+        while not poll():
+            yield None
+        if status.failure is not None:
+            return ""
+        assert status.result is not None, "a job ends with a Result or a Failure"
+        status.stages.clear()  # what is done inside Blender is none of the worker's stages
+        outcome = self.done(context, scene_with(self._scene_uid), status.result.summary)
+        return outcome if isinstance(outcome, str) else (yield from outcome)
+
+
+def scene_with(session_uid: int) -> bpy.types.Scene:
+    """The scene that a job was started from. Raises CuReconError when it is gone."""
+    found = next((scene for scene in bpy.data.scenes if scene.session_uid == session_uid), None)
+    if found is None:
+        raise CuReconError("The scene that it was started from is gone.", remedy="Import its workspace instead.")
+    return found
 
 
 def redraw_panels(context: bpy.types.Context) -> None:

@@ -24,10 +24,10 @@ _written: dict[str, str] = {}  # what this session last wrote, by cloud file
 
 
 def attach(item: bpy.types.Object, file: Path, taken: np.ndarray | None) -> None:
-    """Tell a cloud just brought in where it came from, and which of its file's points (N,) bool are taken out."""
+    """Tell a cloud just brought in where it came from, and which of its points (N,) bool are taken out."""
     item.data[FILE_KEY] = str(file)
     if taken is not None:
-        _mark(item.data, taken[file_order(len(taken))])
+        _mark(item.data, taken)
 
 
 def in_region(item: bpy.types.Object, box: bpy.types.Object) -> np.ndarray:

@@ -4,6 +4,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
+from dataclasses import dataclass
+
 import bpy
 import numpy as np
 
@@ -21,30 +24,72 @@ SPACING_CELLS = 64  # along the longest side, for the spacing estimate
 SPACING_SAMPLES = 48
 
 
-def add(cloud: Cloud, name: str, collection: bpy.types.Collection) -> bpy.types.Object:
-    """Link a PointCloud object with the cloud's points into `collection`.
+@dataclass(frozen=True)
+class CloudArrays:
+    """A cloud as its object stores it, in random order, so that any prefix of the points is a fair sample of the whole.
 
-    Attributes: position, radius (world units, from the local spacing), Color (sRGB bytes), confidence in [0, 1],
-    views and normal. The points are stored in random order, so that any prefix of them is a fair sample of the whole.
+    `points` (N,3) in the object's frame; `radius` (N,) in world units, from the local spacing; `colours` (N,4) linear;
+    `confidence` (N,) in [0, 1]; `normals` (N,3); all float32; `views` (N,) int32.
     """
+
+    points: np.ndarray
+    radius: np.ndarray
+    colours: np.ndarray
+    confidence: np.ndarray
+    views: np.ndarray
+    normals: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+def arrays(cloud: Cloud) -> CloudArrays:
+    """What `build` needs of a cloud. No bpy: it may run on any thread."""
     order = file_order(len(cloud))
-    data = _new_pointcloud(name, len(cloud))
-    colours = np.ones((len(cloud), 4), np.float32)
-    np.divide(cloud.colours[order], 255, out=colours[:, :3], dtype=np.float32)
-    _set(data, "position", "FLOAT_VECTOR", "vector", cloud.points[order])
-    _set(data, "radius", "FLOAT", "value", radii(cloud.points)[order])
-    _set(data, COLOUR, "BYTE_COLOR", "color_srgb", colours)
-    _set(data, "confidence", "FLOAT", "value", cloud.confidence[order])
-    _set(data, "views", "INT", "value", cloud.views[order].astype(np.int32))
-    _set(data, "normal", "FLOAT_VECTOR", "vector", cloud.normals[order])
+    return CloudArrays(
+        points=cloud.points[order], radius=radii(cloud.points)[order], colours=linear_colours(cloud.colours[order]),
+        confidence=cloud.confidence[order], views=cloud.views[order].astype(np.int32), normals=cloud.normals[order],
+    )
+
+
+def build(content: CloudArrays, name: str, collection: bpy.types.Collection) -> Generator[str, None, bpy.types.Object]:
+    """Link a PointCloud object into `collection`, an attribute a step; returns it.
+
+    The attributes are position, radius, Color, confidence, views and normal.
+    """
+    yield "Making the point cloud"
+    data = _new_pointcloud(name, len(content))
+    data[CLOUD_KEY] = len(content)
     data.materials.append(colour_material())
-    data[CLOUD_KEY] = len(cloud)
     item = bpy.data.objects.new(name, data)
     # As bounds Blender leaves the points out of Solid shading, where it would draw them grey; viewport.py draws them
     # there in colour. Material Preview and renders show the points themselves.
     item.display_type = "BOUNDS"
     collection.objects.link(item)
+    for attribute, kind, field, values in (
+        ("position", "FLOAT_VECTOR", "vector", content.points), ("radius", "FLOAT", "value", content.radius),
+        (COLOUR, "FLOAT_COLOR", "color", content.colours), ("confidence", "FLOAT", "value", content.confidence),
+        ("views", "INT", "value", content.views), ("normal", "FLOAT_VECTOR", "vector", content.normals),
+    ):
+        yield "Making the point cloud"
+        set_attribute(data, attribute, kind, "POINT", field, values)
     return item
+
+
+def set_attribute(
+    data: bpy.types.PointCloud | bpy.types.Mesh, name: str, kind: str, domain: str, field: str, values: np.ndarray
+) -> None:
+    """Give every element its value, under a name that may be new. Blender copies whole arrays of its own types (float
+    vectors, float colours, int32) in milliseconds, and converts all others one by one."""
+    attribute = data.attributes.get(name) or data.attributes.new(name, kind, domain)
+    attribute.data.foreach_set(field, np.ascontiguousarray(values).ravel())
+
+
+def linear_colours(srgb: np.ndarray) -> np.ndarray:
+    """sRGB bytes (...,3) as opaque linear colours (...,4) float32."""
+    colours = np.ones((*srgb.shape[:-1], 4), np.float32)
+    colours[..., :3] = linear(np.arange(256) / 255).astype(np.float32)[srgb]
+    return colours
 
 
 def file_order(count: int) -> np.ndarray:
@@ -185,8 +230,3 @@ def _new_pointcloud(name: str, count: int) -> bpy.types.PointCloud:
         bpy.data.node_groups.remove(tree)
     data.name = name
     return data
-
-
-def _set(data: bpy.types.PointCloud, name: str, kind: str, field: str, values: np.ndarray) -> None:
-    attribute = data.attributes.get(name) or data.attributes.new(name, kind, "POINT")
-    attribute.data.foreach_set(field, np.ascontiguousarray(values).ravel())

@@ -9,6 +9,8 @@ are (the photos' own light) or lit by the scene.
 
 from __future__ import annotations
 
+from collections.abc import Generator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import bpy
@@ -16,7 +18,7 @@ import numpy as np
 
 from ..core.errors import WorkspaceError
 from ..core.mesh import Mesh
-from .points import COLOUR, linear
+from .points import COLOUR, linear, linear_colours, set_attribute
 
 SURFACE_KEY = "curecon_surface"  # marks the mesh data that came from a workspace
 FILLED_KEY = "curecon_filled"  # marks the materials of filled faces
@@ -45,46 +47,91 @@ def pictures(mesh: Mesh, file: Path) -> list[Path]:
     return paths
 
 
-def add(
-    mesh: Mesh, pages: list[Path], name: str, collection: bpy.types.Collection, *, pack: bool = False
-) -> bpy.types.Object:
-    """Link a mesh object with the surface into `collection`.
+@dataclass(frozen=True)
+class SurfaceArrays:
+    """A surface as its object stores it.
 
-    Attributes: Color (sRGB bytes), distance (world units to the nearest measured point) and views a vertex, filled a
-    face; UVs and the `pages`' images where it is textured. Images stay in their files unless `pack`.
+    `mesh` has no face that names a vertex twice, which would crash Blender later; `edges` (E,2) int32 are its edges'
+    vertices and `corner_edges` (3M,) int32 the edge from each corner to the next; `colours` (N,4) float32 linear;
+    `tinted` (3M,4), the same for each corner with the filled faces tinted, where there is no texture; `mean` (3,) the
+    mean colour; `material` (M,) int32; `pages` the textures' files.
     """
+
+    mesh: Mesh
+    edges: np.ndarray
+    corner_edges: np.ndarray
+    colours: np.ndarray
+    tinted: np.ndarray | None
+    mean: np.ndarray
+    material: np.ndarray
+    pages: list[Path]
+
+
+def arrays(mesh: Mesh, pages: list[Path]) -> SurfaceArrays:
+    """What `build` needs of a surface. No bpy: it may run on any thread."""
+    faces = mesh.faces
+    whole = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    if not whole.all():
+        mesh = replace(mesh, faces=faces[whole], filled=mesh.filled[whole],
+                       uv=None if mesh.uv is None else mesh.uv[whole],
+                       page=None if mesh.page is None else mesh.page[whole])
+    edges, corner_edges = _edges(mesh.faces, len(mesh.vertices))
+    colours, tinted = linear_colours(mesh.colours), None
+    if mesh.uv is None:
+        # Solid shading knows no materials' nodes, only colour attributes: the tint needs one of its own.
+        corners = mesh.colours[mesh.faces]
+        own, tint = (1 - TINT_STRENGTH) * corners[mesh.filled], TINT_STRENGTH * 255 * np.array(TINT)
+        corners[mesh.filled] = np.rint(own + tint)
+        tinted = linear_colours(corners.reshape(-1, 3))
+    page = np.zeros(len(mesh.faces), np.int32) if mesh.page is None else np.maximum(mesh.page, 0)
+    return SurfaceArrays(
+        mesh=mesh, edges=edges, corner_edges=corner_edges, colours=colours, tinted=tinted,
+        mean=linear(mesh.colours.mean(axis=0) / 255) if len(mesh.colours) else np.full(3, 0.5),
+        material=(page * 2 + mesh.filled).astype(np.int32), pages=pages,
+    )
+
+
+def build(
+    content: SurfaceArrays, name: str, collection: bpy.types.Collection, *, pack: bool = False
+) -> Generator[str, None, bpy.types.Object]:
+    """Link a mesh object with the surface into `collection`, a few milliseconds of work a step; returns it.
+
+    Attributes: Color, distance (world units to the nearest measured point) and views a vertex, filled a face; UVs and
+    the pages' images where it is textured. Images stay in their files unless `pack`.
+    """
+    mesh = content.mesh
     data = bpy.data.meshes.new(name)
     data[SURFACE_KEY] = True
-    _geometry(data, mesh)
-    _attribute(data, "distance", "FLOAT", "POINT", "value", mesh.distance)
-    _attribute(data, "views", "INT", "POINT", "value", mesh.views.astype(np.int32))
-    _attribute(data, "filled", "BOOLEAN", "FACE", "value", mesh.filled)
-    colours = np.ones((len(mesh.vertices), 4), np.float32)
-    np.divide(mesh.colours, 255, out=colours[:, :3], dtype=np.float32)
-    _attribute(data, COLOUR, "BYTE_COLOR", "POINT", "color_srgb", colours)
-    page = np.zeros(len(mesh.faces), np.int32)
-    images: list[bpy.types.Image | None] = [None]
-    if mesh.uv is not None and mesh.page is not None:
-        data.uv_layers.new(name=UV).uv.foreach_set("vector", np.ascontiguousarray(mesh.uv).ravel())
-        page, images = np.maximum(mesh.page, 0), [_image(path, pack) for path in pages]
-    else:
-        # Solid shading knows no materials' nodes, only colour attributes: the tint needs one of its own.
-        corners = colours[mesh.faces]
-        corners[mesh.filled, :, :3] += TINT_STRENGTH * (np.array(TINT, np.float32) - corners[mesh.filled, :, :3])
-        _attribute(data, TINTED, "BYTE_COLOR", "CORNER", "color_srgb", corners)
-    mean = linear(mesh.colours.mean(axis=0) / 255) if len(mesh.colours) else np.full(3, 0.5)
-    for number, image in enumerate(images):
-        label = name if len(images) == 1 else f"{name} {number + 1}"
-        data.materials.append(_material(label, image, mean, filled=False))
-        data.materials.append(_material(f"{label} Filled", image, mean, filled=True))
-    _attribute(data, "material_index", "INT", "FACE", "value", page * 2 + mesh.filled)
-    data.validate()  # a face that names a vertex twice would crash Blender later
+    item = bpy.data.objects.new(name, data)
+    collection.objects.link(item)
+    yield from _geometry(data, content)
+    values = [
+        ("distance", "FLOAT", "POINT", "value", mesh.distance),
+        ("views", "INT", "POINT", "value", mesh.views.astype(np.int32)),
+        ("filled", "BOOLEAN", "FACE", "value", mesh.filled),
+        (COLOUR, "FLOAT_COLOR", "POINT", "color", content.colours),
+        ("material_index", "INT", "FACE", "value", content.material),
+    ]
+    if mesh.uv is not None:
+        values.append((UV, "FLOAT2", "CORNER", "vector", mesh.uv))
+    if content.tinted is not None:
+        values.append((TINTED, "FLOAT_COLOR", "CORNER", "color", content.tinted))
+    for attribute, kind, domain, field, array in values:
+        yield "Making the surface"
+        set_attribute(data, attribute, kind, domain, field, array)
+    textured = mesh.uv is not None
+    for number in range(len(content.pages) if textured else 1):
+        yield "Making the surface"
+        image = _image(content.pages[number], pack) if textured else None
+        label = name if len(content.pages) < 2 else f"{name} {number + 1}"
+        data.materials.append(_material(label, image, content.mean, filled=False))
+        data.materials.append(_material(f"{label} Filled", image, content.mean, filled=True))
+    yield "Making the surface"
+    data.update()
     data.shade_smooth()
     data.set_sharp_from_angle(angle=float(np.radians(SHARP_ANGLE)))
     data.color_attributes.active_color_name = COLOUR
     data.color_attributes.render_color_index = data.color_attributes.find(COLOUR)
-    item = bpy.data.objects.new(name, data)
-    collection.objects.link(item)
     return item
 
 
@@ -166,21 +213,38 @@ def page_images(item: bpy.types.Object) -> dict[str, bpy.types.Image]:
     return found
 
 
-def _geometry(data: bpy.types.Mesh, mesh: Mesh) -> None:
+def _edges(faces: np.ndarray, vertices: int) -> tuple[np.ndarray, np.ndarray]:
+    """The edges (E,2) int32 of triangles (M,3) over so many vertices, and the edge (3M,) int32 from each corner to the
+    next. Blender would find them itself, in a step of its own of some hundred milliseconds."""
+    following = np.roll(faces, -1, axis=1)
+    keys = (np.minimum(faces, following).astype(np.int64) * vertices + np.maximum(faces, following)).ravel()
+    order = np.argsort(keys)
+    ordered = keys[order]
+    first = np.ones(len(keys), bool)
+    np.not_equal(ordered[1:], ordered[:-1], out=first[1:])
+    corner_edges = np.empty(len(keys), np.int32)
+    corner_edges[order] = np.cumsum(first, dtype=np.int32) - 1
+    edges = ordered[first]
+    return np.stack([edges // vertices, edges % vertices], axis=1).astype(np.int32), corner_edges
+
+
+def _geometry(data: bpy.types.Mesh, content: SurfaceArrays) -> Generator[str, None, None]:
+    """Triangles with their edges, through Blender's own attributes: vertices and loops take values one by one."""
+    mesh = content.mesh
     data.vertices.add(len(mesh.vertices))
-    data.vertices.foreach_set("co", np.ascontiguousarray(mesh.vertices, np.float32).ravel())
-    data.loops.add(3 * len(mesh.faces))
-    data.loops.foreach_set("vertex_index", np.ascontiguousarray(mesh.faces, np.int32).ravel())
+    data.edges.add(len(content.edges))
+    data.loops.add(mesh.faces.size)
     data.polygons.add(len(mesh.faces))
-    data.polygons.foreach_set("loop_start", np.arange(0, 3 * len(mesh.faces), 3, dtype=np.int32))
-    data.update(calc_edges=True)
-
-
-def _attribute(
-    data: bpy.types.Mesh, name: str, kind: str, domain: str, field: str, values: np.ndarray
-) -> None:
-    attribute = data.attributes.get(name) or data.attributes.new(name, kind, domain)
-    attribute.data.foreach_set(field, np.ascontiguousarray(values).ravel())
+    for name, kind, domain, field, values in (
+        ("position", "FLOAT_VECTOR", "POINT", "vector", mesh.vertices),
+        (".edge_verts", "INT32_2D", "EDGE", "value", content.edges),
+        (".corner_vert", "INT", "CORNER", "value", mesh.faces),
+        (".corner_edge", "INT", "CORNER", "value", content.corner_edges),
+    ):
+        yield "Making the surface"
+        set_attribute(data, name, kind, domain, field, values)
+    yield "Making the surface"
+    data.polygons.foreach_set("loop_start", np.arange(0, mesh.faces.size, 3, dtype=np.int32))
 
 
 def _image(path: Path, pack: bool) -> bpy.types.Image:

@@ -4,19 +4,24 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Generator
 from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 from ..core import alignment, components
+from ..core.alignment import Adjustment
 from ..core.cloud_edits import is_stale, read_removed
 from ..core.mesh import Mesh, filled_share, mesh_file, read_mesh, textured_folder
 from ..core.ply import read_cloud
-from ..core.types import Frame
+from ..core.types import Component, Frame
 from . import cameras, cloud_edits, display, frame, points, surface
 
 WORKSPACE_KEY = "curecon_workspace"  # on the collection: the workspace it was imported from
+UNPLACED_KEY = "curecon_unplaced"  # on the collection while it is built, and in no scene yet
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,59 +53,113 @@ class Imported:
         return any(item.data.uv_layers for item in self.surfaces)
 
 
-def import_workspace(scene: bpy.types.Scene, folder: Path, *, pack: bool = False) -> Imported:
-    """Bring the workspace's cameras, clouds and surfaces into the scene, in place of what an earlier import of it
-    brought.
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """A component as it is read. `removed` (N,) bool are the points taken out of its cloud, None where none are."""
+
+    component: Component
+    adjustment: Adjustment
+    cloud: points.CloudArrays | None
+    removed: np.ndarray | None
+    surface: surface.SurfaceArrays | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Content:
+    """All that a workspace `folder` brings into a scene, in arrays as Blender stores them; `filled` and `stale_edits`
+    as in Imported."""
+
+    folder: Path
+    parts: tuple[Part, ...]
+    filled: float
+    stale_edits: bool
+
+
+def read(folder: Path) -> Content:
+    """Read a workspace. No bpy: it may run on any thread. Raises WorkspaceError."""
+    folder = folder.resolve()
+    parts, meshes = [], []
+    for component in components.read(folder):
+        file = folder / component.cloud
+        cloud = read_cloud(file) if file.is_file() else None
+        removed = read_removed(file, len(cloud)) if cloud is not None else None
+        found = _read_surface(folder, component.index)
+        if found is not None:
+            meshes.append(found[0])
+        parts.append(Part(
+            component=component, adjustment=alignment.read(folder / component.sparse),
+            cloud=points.arrays(cloud) if cloud is not None else None,
+            removed=removed[points.file_order(len(removed))] if removed is not None else None,
+            surface=surface.arrays(*found) if found is not None else None,
+        ))
+    return Content(
+        folder=folder, parts=tuple(parts), filled=filled_share(meshes),
+        stale_edits=any(is_stale(folder / part.component.cloud) for part in parts),
+    )
+
+
+def build(content: Content, *, pack: bool = False) -> Generator[str, None, bpy.types.Collection]:
+    """Make the workspace's collection outside of every scene, a few milliseconds of work a step; each step says what
+    is being made. Returns the collection, for `place`; stopped or failed, it leaves nothing behind.
 
     A component comes with what has been made of it: a textured surface goes before a plain one, and where there is a
-    surface its cloud is hidden. `pack` puts the textures into the .blend. The render size, pixel aspect and active
-    camera follow the first photo. Everything is read before the scene is touched. Raises WorkspaceError.
+    surface its cloud is hidden. `pack` puts the textures into the .blend.
     """
-    folder = folder.resolve()
-    parts = components.read(folder)
-    clouds = [read_cloud(path) if (path := folder / part.cloud).is_file() else None for part in parts]
-    taken = [read_removed(folder / part.cloud, len(cloud)) if cloud is not None else None
-             for part, cloud in zip(parts, clouds, strict=True)]
-    adjustments = [alignment.read(folder / part.sparse) for part in parts]
-    meshes = [_read_surface(folder, part.index) for part in parts]
+    try:
+        top = bpy.data.collections.new(_name(content))
+        top[WORKSPACE_KEY], top[UNPLACED_KEY] = str(content.folder), True
+        for part in content.parts:
+            yield from _build_part(part, content, top, pack)
+    except BaseException:  # what was closed is to leave nothing behind, too
+        sweep()
+        raise
+    return top
 
-    _remove_earlier(scene, folder)
-    name = f"CU-Recon: {folder.name.removesuffix('_curecon')}"
-    top = bpy.data.collections.new(name)
-    top[WORKSPACE_KEY] = str(folder)
+
+def place(scene: bpy.types.Scene, content: Content, top: bpy.types.Collection) -> Imported:
+    """Put what `build` made into the scene, in place of what an earlier import of the workspace brought. The render
+    size, pixel aspect and active camera follow the first photo."""
+    for collection in list(scene.collection.children):
+        if collection.get(WORKSPACE_KEY) == str(content.folder):
+            _remove(scene, collection)
+    del top[UNPLACED_KEY]
+    top.name = _name(content)
+    _drop_numbers(top)
     scene.collection.children.link(top)
-    cloud_objects, surface_objects, camera_objects, missing = [], [], [], 0
-    for part, cloud, removed, mesh, adjustment in zip(parts, clouds, taken, meshes, adjustments, strict=True):
-        collection = top if len(parts) == 1 else _child(top, f"Part {part.index + 1}")
-        holder = _child(collection, "Cameras")
-        holder[cameras.CAMERAS_KEY] = True
-        size = cameras.display_size(part.views) if part.views else 1.0
-        for view in part.views:
-            camera_objects.append(cameras.add(view, folder, holder, size))
-            missing += not camera_objects[-1].data.background_images
-        if cloud is not None:
-            label = "Cloud" if len(parts) == 1 else f"Cloud {part.index + 1}"
-            cloud_objects.append(points.add(cloud, label, collection))
-            cloud_edits.attach(cloud_objects[-1], folder / part.cloud, removed)
-            hide([cloud_objects[-1]], mesh is not None)
-        if mesh is not None:
-            label = "Surface" if len(parts) == 1 else f"Surface {part.index + 1}"
-            surface_objects.append(surface.add(*mesh, label, collection, pack=pack))
-        frame.set_up(collection, part, folder, adjustment)
-    if camera_objects:
-        scene.camera = camera_objects[0]
-        cameras.fit_render(scene, camera_objects[0])
+    clouds = tuple(item for item in top.all_objects if item.type == "POINTCLOUD")
+    photo_cameras = tuple(item for item in top.all_objects if item.type == "CAMERA")
+    if photo_cameras:
+        scene.camera = photo_cameras[0]
+        cameras.fit_render(scene, photo_cameras[0])
     placed = [part for part in frame.parts_of(scene) if part.collection in {top, *top.children}]
     if placed:
         frame.show(scene, placed[0].frame)
-    display.apply(scene, cloud_objects)
+    display.apply(scene, list(clouds))
     return Imported(
-        collection=top, clouds=tuple(cloud_objects), surfaces=tuple(surface_objects), cameras=tuple(camera_objects),
-        filled=filled_share(mesh for mesh, _ in filter(None, meshes)),
+        collection=top, clouds=clouds, cameras=photo_cameras,
+        surfaces=tuple(item for item in top.all_objects if surface.is_surface(item)), filled=content.filled,
         frame=placed[0].frame if placed else Frame(scale="unknown", up="given"),
-        scale_source=placed[0].scale_source if placed else "", parts=len(parts),
-        missing_pictures=missing, stale_edits=any(is_stale(folder / part.cloud) for part in parts),
+        scale_source=placed[0].scale_source if placed else "", parts=len(content.parts),
+        missing_pictures=sum(not item.data.background_images for item in photo_cameras),
+        stale_edits=content.stale_edits,
     )
+
+
+def import_workspace(scene: bpy.types.Scene, folder: Path, *, pack: bool = False) -> Imported:
+    """Read, build and place at once. Everything is read before anything is made. Raises WorkspaceError."""
+    content = read(folder)
+    steps = build(content, pack=pack)
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            return place(scene, content, end.value)
+
+
+def sweep() -> None:
+    """Remove what was built and never placed: by an import that was stopped, or by an undo to the midst of one."""
+    for collection in [item for item in bpy.data.collections if UNPLACED_KEY in item]:
+        _remove(None, collection)
 
 
 def clouds_of(scene: bpy.types.Scene) -> list[bpy.types.Object]:
@@ -130,23 +189,58 @@ def _child(parent: bpy.types.Collection, name: str) -> bpy.types.Collection:
     return child
 
 
-def _remove_earlier(scene: bpy.types.Scene, folder: Path) -> None:
-    for collection in list(scene.collection.children):
-        if collection.get(WORKSPACE_KEY) != str(folder):
+def _name(content: Content) -> str:
+    return f"CU-Recon: {content.folder.name.removesuffix('_curecon')}"
+
+
+def _build_part(
+    part: Part, content: Content, top: bpy.types.Collection, pack: bool
+) -> Generator[str, None, None]:
+    component, folder, only = part.component, content.folder, len(content.parts) == 1
+    number = "" if only else f" {component.index + 1}"
+    collection = top if only else _child(top, f"Part{number}")
+    holder = _child(collection, "Cameras")
+    holder[cameras.CAMERAS_KEY] = True
+    size = cameras.display_size(component.views) if component.views else 1.0
+    for view in component.views:
+        yield "Making the cameras"
+        cameras.add(view, folder, holder, size)
+    if part.cloud is not None:
+        item = yield from points.build(part.cloud, f"Cloud{number}", collection)
+        cloud_edits.attach(item, folder / component.cloud, part.removed)
+        hide([item], part.surface is not None)
+    if part.surface is not None:
+        yield from surface.build(part.surface, f"Surface{number}", collection, pack=pack)
+    frame.set_up(collection, component, folder, part.adjustment)
+
+
+def _drop_numbers(top: bpy.types.Collection) -> None:
+    """Blender numbers a second datablock of a name, and the first one was an earlier import's, which is gone now."""
+    blocks: list[bpy.types.ID] = list(top.children_recursive)
+    for item in top.all_objects:
+        blocks += [item, item.data]
+        if surface.is_surface(item):
+            blocks += [*item.data.materials, *surface.page_images(item).values()]
+    for block in blocks:
+        if numbered := re.fullmatch(r"(.+)\.\d{3}", block.name):
+            block.name = numbered[1]  # or the next free number, where something else has that name
+
+
+def _remove(scene: bpy.types.Scene | None, collection: bpy.types.Collection) -> None:
+    """Remove a workspace's collection with all of ours in it; what a user put there stays in the scene."""
+    for item in list(collection.all_objects):
+        data = item.data
+        if surface.is_surface(item):
+            surface.remove(item)
             continue
-        for item in list(collection.all_objects):
-            data = item.data
-            if surface.is_surface(item):
-                surface.remove(item)
-                continue
-            ours = cameras.is_photo_camera(item) or (item.type == "POINTCLOUD" and points.CLOUD_KEY in data)
-            if not ours:  # something that the user put here: keep it in the scene
-                if item.name not in scene.collection.objects:
-                    scene.collection.objects.link(item)
-                continue
-            bpy.data.objects.remove(item)
-            if not data.users:
-                (bpy.data.cameras if isinstance(data, bpy.types.Camera) else bpy.data.pointclouds).remove(data)
-        for child in list(collection.children_recursive):
-            bpy.data.collections.remove(child)
-        bpy.data.collections.remove(collection)
+        ours = cameras.is_photo_camera(item) or (item.type == "POINTCLOUD" and points.CLOUD_KEY in data)
+        if not ours:
+            if scene is not None and item.name not in scene.collection.objects:
+                scene.collection.objects.link(item)
+            continue
+        bpy.data.objects.remove(item)
+        if not data.users:
+            (bpy.data.cameras if isinstance(data, bpy.types.Camera) else bpy.data.pointclouds).remove(data)
+    for child in list(collection.children_recursive):
+        bpy.data.collections.remove(child)
+    bpy.data.collections.remove(collection)

@@ -37,6 +37,7 @@ def values(data: bpy.types.Mesh, name: str, field: str, kind: type = np.float32,
 
 def check_geometry(data: bpy.types.Mesh, *, pages: int) -> None:
     wanted = surface_scene.mesh(pages=pages)
+    assert not data.validate(), "Blender found something to mend"
     assert np.array_equal(values(data, "position", "vector", width=3), wanted.vertices)
     corners = np.empty(len(wanted.faces) * 3, np.int32)
     data.loops.foreach_get("vertex_index", corners)
