@@ -248,37 +248,59 @@ def depth_path(workspace: Path, name: str) -> Path:
     return workspace / "depth" / f"{name}.npz"
 
 
+def unfinished(components: list[Component], workspace: Path, key: str) -> list[tuple[View, dict[str, View]]]:
+    """Every view whose `depth/NAME.npz` is not there, whole, for `key`; with the views of its component by name."""
+    return [
+        (view, views) for component in components for views in [{view.name: view for view in component.views}]
+        for view in component.views if not _is_finished(depth_path(workspace, view.name), view, key)
+    ]
+
+
+def make_depth(estimator: DepthEstimator, view: View, views: dict[str, View], workspace: Path, key: str) -> None:
+    """Estimate one view and write its file, whole or not at all; see `estimate_depths` for what it holds."""
+    if view.sources:
+        depth, confidence = estimator.estimate(view, [(views[n], s) for n, s in view.sources])
+    else:
+        depth = np.zeros((view.height, view.width), np.float32)
+        confidence = np.zeros((view.height, view.width), np.float16)
+    # By way of memory: a zip that meets a full disk half-way complains a second time when it is closed.
+    content = io.BytesIO()
+    np.savez(content, depth=depth, confidence=confidence, K=view.K, cam_from_world=view.cam_from_world,
+             key=np.array(key))
+    with atomic_write(depth_path(workspace, view.name)) as file:
+        file.write(content.getbuffer())
+
+
+def start_progress(
+    components: list[Component], left: list[tuple[View, dict[str, View]]], reporter: Reporter
+) -> tuple[int, int]:
+    """Tell of what is finished from an earlier run, and of photos that get no depth; how many are done, and of how
+    many."""
+    total = sum(len(component.views) for component in components)
+    done = total - len(left)
+    if done:
+        reporter.progress(done, total, fresh=False)
+    for view, _ in left:
+        if not view.sources:
+            reporter.warning(f"{view.name} has no suitable neighbour; it gets no depth.", view.name)
+    return done, total
+
+
 def estimate_depths(
     components: list[Component], network: LCMMVSNet, workspace: Path, options: Options, key: str, reporter: Reporter
 ) -> None:
-    """Write `depth/NAME.npz` of every view that has sources; files already there for `key` are left alone.
+    """Write `depth/NAME.npz` of every view; files already there for `key` are left alone.
 
     A file holds depth (H,W) float32 z-depth in world units (0: none), confidence (H,W) float16 in [0, 1], K (3,3),
     cam_from_world (3,4), and the key it was made for.
     """
     estimator = DepthEstimator(network, workspace, options)
-    total = sum(len(component.views) for component in components)
-    done = 0
-    for component in components:
-        views = {view.name: view for view in component.views}
-        for view in component.views:
-            path = depth_path(workspace, view.name)
-            fresh = not _is_finished(path, view, key)
-            if fresh:
-                if view.sources:
-                    depth, confidence = estimator.estimate(view, [(views[n], s) for n, s in view.sources])
-                else:
-                    reporter.warning(f"{view.name} has no suitable neighbour; it gets no depth.", view.name)
-                    depth = np.zeros((view.height, view.width), np.float32)
-                    confidence = np.zeros((view.height, view.width), np.float16)
-                # By way of memory: a zip that meets a full disk half-way complains a second time when it is closed.
-                content = io.BytesIO()
-                np.savez(content, depth=depth, confidence=confidence, K=view.K, cam_from_world=view.cam_from_world,
-                         key=np.array(key))
-                with atomic_write(path) as file:
-                    file.write(content.getbuffer())
-            done += 1
-            reporter.progress(done, total, fresh=fresh)
+    left = unfinished(components, workspace, key)
+    done, total = start_progress(components, left, reporter)
+    for view, views in left:
+        make_depth(estimator, view, views, workspace, key)
+        done += 1
+        reporter.progress(done, total)
 
 
 def _is_finished(path: Path, view: View, key: str) -> bool:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 
 class CuReconError(Exception):
@@ -21,6 +22,9 @@ class CuReconError(Exception):
         self.message = message
         self.remedy = remedy
         self.path = None if path is None else str(path)
+
+    def __reduce__(self) -> tuple[Any, ...]:  # pickled by its fields: its arguments are not all positional
+        return type(self).__new__, (type(self), *self.args), self.__dict__
 
 
 class PhotoError(CuReconError):

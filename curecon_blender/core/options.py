@@ -47,6 +47,7 @@ class Options:
     memory_gib: float | None = None  # budget for the depth stage; None: 60 % of what is free
     device: str = "auto"  # auto, cpu, cuda, mps
     precision: str = "auto"  # auto, fp32, bf16
+    scheduler: str = ""  # address of a Dask scheduler whose workers make the depth maps; "": this process does
     mapper: str = "auto"  # auto, incremental, global
     weights: Path | None = None  # None: the shipped weights
     min_confidence: float = 0.3  # tau

@@ -43,6 +43,11 @@ def reconstruct(options: Options, reporter: Reporter) -> dict[str, Any]:
                 remedy="Choose the folder that Reconstruct made, or run Reconstruct first.",
             )
     reporter.begin(stages)
+    if options.scheduler and "depth" in stages:  # a wrong address is told now, not when the cameras are found
+        from .spreading import connect
+
+        with connect(options.scheduler):
+            pass
     with Workspace(options.workspace) as workspace:
         job = _Job(options, workspace, reporter)
         if options.photos is None:
@@ -154,6 +159,11 @@ class _Job:
         key = self._key("depth", inputs)
 
         def run() -> None:
+            if self.options.scheduler:
+                from .spreading import spread_depths
+
+                spread_depths(self.components, self.workspace.root, self.options, key, self.reporter)
+                return
             network = weights.load_network(self.options.weights)
             estimate_depths(self.components, network, self.workspace.root, self.options, key, self.reporter)
 
@@ -302,10 +312,12 @@ class _Job:
         self.key = key
 
     def _learn(self, stage: str, seconds: float) -> None:
-        """Keep this computer's speed, unless the stage was not run from its start or on the whole site."""
+        """Keep this computer's speed, unless the stage was not run from its start, on the whole site, or here."""
         from . import cost
 
         options = self.options
+        if stage == "depth" and options.scheduler:
+            return
         if stage != "photos" and options.photos and not (self.reporter.resumed or options.model or options.region):
             cost.learn(stage, seconds, self.photo_set.photos, options)
 

@@ -132,6 +132,8 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--views", type=_positive(int), help="source views per photo")
     run.add_argument("--until", choices=STAGES, default=default["until"], help="stop after this stage")
     run.add_argument("--precision", choices=("auto", "fp32", "bf16"), default=default["precision"])
+    run.add_argument("--scheduler", default=default["scheduler"], metavar="ADDRESS",
+                     help="make the depth maps on the workers of the Dask cluster at tcp://HOST:PORT")
     run.add_argument("--mapper", choices=("auto", "incremental", "global"), default=default["mapper"])
     run.add_argument("--weights", type=Path, help="other weights (.safetensors with its .json beside it)")
     run.add_argument("--min-confidence", type=float, default=default["min_confidence"])
