@@ -96,6 +96,8 @@ class CURECON_OT_import_workspace(StepsOperator, bpy.types.Operator):
     task = "Importing"
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if self.directory:  # a caller's own
+            return StepsOperator.invoke(self, context, event)
         self.directory = context.scene.curecon.workspace
         self._browsing = True
         context.window_manager.fileselect_add(self)

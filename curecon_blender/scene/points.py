@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Iterable
 from dataclasses import dataclass
 
 import bpy
@@ -66,23 +66,32 @@ def build(content: CloudArrays, name: str, collection: bpy.types.Collection) -> 
     # there in colour. Material Preview and renders show the points themselves.
     item.display_type = "BOUNDS"
     collection.objects.link(item)
-    for attribute, kind, field, values in (
-        ("position", "FLOAT_VECTOR", "vector", content.points), ("radius", "FLOAT", "value", content.radius),
-        (COLOUR, "FLOAT_COLOR", "color", content.colours), ("confidence", "FLOAT", "value", content.confidence),
-        ("views", "INT", "value", content.views), ("normal", "FLOAT_VECTOR", "vector", content.normals),
-    ):
-        yield "Making the point cloud"
-        set_attribute(data, attribute, kind, "POINT", field, values)
+    yield from fill(data, "Making the point cloud", (
+        ("position", "FLOAT_VECTOR", "POINT", "vector", content.points),
+        ("radius", "FLOAT", "POINT", "value", content.radius),
+        (COLOUR, "FLOAT_COLOR", "POINT", "color", content.colours),
+        ("confidence", "FLOAT", "POINT", "value", content.confidence),
+        ("views", "INT", "POINT", "value", content.views),
+        ("normal", "FLOAT_VECTOR", "POINT", "vector", content.normals),
+    ))
     return item
 
 
-def set_attribute(
-    data: bpy.types.PointCloud | bpy.types.Mesh, name: str, kind: str, domain: str, field: str, values: np.ndarray
-) -> None:
-    """Give every element its value, under a name that may be new. Blender copies whole arrays of its own types (float
-    vectors, float colours, int32) in milliseconds, and converts all others one by one."""
-    attribute = data.attributes.get(name) or data.attributes.new(name, kind, domain)
-    attribute.data.foreach_set(field, np.ascontiguousarray(values).ravel())
+def fill(
+    data: bpy.types.PointCloud | bpy.types.Mesh, doing: str,
+    attributes: Iterable[tuple[str, str, str, str, np.ndarray]],
+) -> Generator[str, None, None]:
+    """Give attributes their values in steps that say what is done: each of `attributes` is a name, which may be new,
+    with its type, its domain, the field that takes values, and an array of all values. Blender copies arrays of its
+    own types (float vectors, float colours, int32) in milliseconds and converts all others one by one."""
+    for name, kind, domain, field, values in attributes:
+        yield doing
+        attribute = data.attributes.get(name)
+        if attribute is None:
+            data.attributes.new(name, kind, domain)
+            yield doing
+            attribute = data.attributes[name]
+        attribute.data.foreach_set(field, np.ascontiguousarray(values).ravel())
 
 
 def linear_colours(srgb: np.ndarray) -> np.ndarray:

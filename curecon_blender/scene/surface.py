@@ -18,7 +18,7 @@ import numpy as np
 
 from ..core.errors import WorkspaceError
 from ..core.mesh import Mesh
-from .points import COLOUR, linear, linear_colours, set_attribute
+from .points import COLOUR, fill, linear, linear_colours
 
 SURFACE_KEY = "curecon_surface"  # marks the mesh data that came from a workspace
 FILLED_KEY = "curecon_filled"  # marks the materials of filled faces
@@ -116,9 +116,7 @@ def build(
         values.append((UV, "FLOAT2", "CORNER", "vector", mesh.uv))
     if content.tinted is not None:
         values.append((TINTED, "FLOAT_COLOR", "CORNER", "color", content.tinted))
-    for attribute, kind, domain, field, array in values:
-        yield "Making the surface"
-        set_attribute(data, attribute, kind, domain, field, array)
+    yield from fill(data, "Making the surface", values)
     textured = mesh.uv is not None
     for number in range(len(content.pages) if textured else 1):
         yield "Making the surface"
@@ -235,14 +233,12 @@ def _geometry(data: bpy.types.Mesh, content: SurfaceArrays) -> Generator[str, No
     data.edges.add(len(content.edges))
     data.loops.add(mesh.faces.size)
     data.polygons.add(len(mesh.faces))
-    for name, kind, domain, field, values in (
+    yield from fill(data, "Making the surface", (
         ("position", "FLOAT_VECTOR", "POINT", "vector", mesh.vertices),
         (".edge_verts", "INT32_2D", "EDGE", "value", content.edges),
         (".corner_vert", "INT", "CORNER", "value", mesh.faces),
         (".corner_edge", "INT", "CORNER", "value", content.corner_edges),
-    ):
-        yield "Making the surface"
-        set_attribute(data, name, kind, domain, field, values)
+    ))
     yield "Making the surface"
     data.polygons.foreach_set("loop_start", np.arange(0, mesh.faces.size, 3, dtype=np.int32))
 

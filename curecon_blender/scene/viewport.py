@@ -2,14 +2,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Draws the clouds in colour in Solid and Wireframe shading, where Blender would draw them grey or not at all.
 
-Each cloud is uploaded once, when it is first drawn; since points.py stores it in random order, drawing a prefix shows a
-fair sample of it: as much as the user set and, while the view moves, no more than keeps it fluent. The buffers are made
-from the PointCloud's own attributes, so they come back by themselves after a file is loaded, an undo or a reload of the
-add-on.
+Each cloud is uploaded once, a piece with each drawing from the first on, so that none takes long. Since points.py
+stores it in random order, drawing a prefix shows a fair sample of it: what has come so far, as much as the user set
+and, while the view moves, no more than keeps it fluent. The buffers are made from the PointCloud's own attributes, so
+they come back by themselves after a file is loaded, an undo or a reload of the add-on.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
 import bpy
@@ -19,13 +20,22 @@ from bpy.app.handlers import persistent
 from mathutils import Euler, Matrix, Vector
 
 from . import display
-from .points import CLOUD_KEY, COLOUR, positions, subject_bounds
+from .points import CLOUD_KEY, COLOUR, subject_bounds
 from .workspace import clouds_of
 
 MAX_POINT_PIXELS = 40.0
 MIN_POINT_PIXELS = 2.0
 MOVING_POINTS = 3_000_000  # drawn of all clouds together while the view moves; the rest follows when it rests
 REST_SECONDS = 0.25
+PIECE = 1 << 18  # points that are uploaded at once
+PIECE_SECONDS = 0.02  # a drawing begins to upload pieces for so long
+
+# What is drawn of a cloud: the field, width and type of its attributes, as Blender copies them fastest.
+_ATTRIBUTES: dict[str, tuple[str, int, type]] = {
+    "position": ("vector", 3, np.float32), COLOUR: ("color", 4, np.float32), "radius": ("value", 1, np.float32),
+    "confidence": ("value", 1, np.float32), "views": ("value", 1, np.int32), "normal": ("vector", 3, np.float32),
+    display.REMOVED: ("value", 1, np.bool_),
+}
 
 RAMP_STEPS = 32
 # One block of 16-byte rows: Vulkan and Metal promise no more than 128 bytes of push constants.
@@ -56,10 +66,8 @@ void main()
   // The point's size in pixels at its depth, so that a near cloud closes to a surface.
   gl_PointSize = clamp(radius * show.size.x / gl_Position.w, show.size.y, show.size.z);
   int by = int(show.least.w + 0.5);
-  if (by == 0) {{  // sRGB to the viewport's linear colours
-    vec3 low = colour.rgb / 12.92;
-    vec3 high = pow((colour.rgb + 0.055) / 1.055, vec3(2.4));
-    shown = vec4(mix(low, high, step(vec3(0.04045), colour.rgb)), 1.0);
+  if (by == 0) {{
+    shown = vec4(colour.rgb, 1.0);
   }}
   else if (by == 4) {{
     shown = vec4(normal.xyz * 0.5 + 0.5, 1.0);
@@ -75,7 +83,7 @@ void main()
 FRAGMENT_SOURCE = "void main() { fragment = shown; }"
 
 _shader: gpu.types.GPUShader | None = None
-_batches: dict[tuple[object, ...], gpu.types.GPUBatch] = {}  # by _batch_key
+_uploads: dict[tuple[object, ...], _Upload] = {}  # by _upload_key
 _last_views: dict[int, tuple[float, ...]] = {}  # by region: where it looked from when it was last drawn
 _remove_handler: Callable[[], None] | None = None
 
@@ -140,7 +148,7 @@ def show_texture(context: bpy.types.Context, *, textured: bool) -> None:
 
 @persistent
 def _forget(*_: object) -> None:
-    _batches.clear()
+    _uploads.clear()
     _last_views.clear()
 
 
@@ -183,9 +191,9 @@ def _draw() -> None:
         item for item in context.view_layer.objects
         if item.type == "POINTCLOUD" and CLOUD_KEY in item.data and item.visible_get(viewport=space)
     ]
-    alive = {_batch_key(data) for data in bpy.data.pointclouds if CLOUD_KEY in data}
-    for key in _batches.keys() - alive:
-        del _batches[key]
+    alive = {_upload_key(data) for data in bpy.data.pointclouds if CLOUD_KEY in data}
+    for key in _uploads.keys() - alive:
+        del _uploads[key]
     if not clouds:
         return
     shader, settings, region = _get_shader(), display.of(context.scene), context.region
@@ -201,9 +209,11 @@ def _draw() -> None:
         smallest = max(1.0, MIN_POINT_PIXELS * settings.size)
         block = _block(settings, item, view.perspective_matrix, (pixels, smallest, MAX_POINT_PIXELS, 0.0))
         shader.uniform_block("show", block)
-        count = round(len(item.data.points) * share)
-        if count:
-            _get_batch(item.data).draw_range(shader, elem_start=0, elem_count=count)
+        upload = _uploads.setdefault(_upload_key(item.data), _Upload())
+        upload.go_on(item.data)
+        upload.draw(shader, round(len(item.data.points) * share))
+        if not upload.whole and not bpy.app.timers.is_registered(_draw_the_rest):
+            bpy.app.timers.register(_draw_the_rest, first_interval=0.0)
     gpu.state.program_point_size_set(False)
     gpu.state.depth_mask_set(False)
     gpu.state.depth_test_set("NONE")
@@ -246,39 +256,61 @@ def _get_shader() -> gpu.types.GPUShader:
     return _shader
 
 
-def _batch_key(data: bpy.types.PointCloud) -> tuple[object, ...]:
+def _upload_key(data: bpy.types.PointCloud) -> tuple[object, ...]:
     return data.session_uid, len(data.points), data.get(display.REMOVED_KEY)
 
 
-def _get_batch(data: bpy.types.PointCloud) -> gpu.types.GPUBatch:
-    key = _batch_key(data)
-    if key not in _batches:
-        count = len(data.points)
-        colours = np.empty((count, 4), np.float32)
-        data.attributes[COLOUR].data.foreach_get("color_srgb", colours.ravel())
-        np.multiply(colours, 255, out=colours)
-        quality = np.stack([_floats(data, "confidence"), _floats(data, "views")], axis=1)
-        if display.REMOVED in data.attributes:
-            quality[_floats(data, display.REMOVED) > 0] = -1  # below every threshold
-        normals = np.zeros((count, 4), np.int8)
-        normals[:, :3] = np.rint(127 * _floats(data, "normal", "vector", 3))
-        layout = gpu.types.GPUVertFormat()
-        layout.attr_add(id="position", comp_type="F32", len=3, fetch_mode="FLOAT")
-        layout.attr_add(id="colour", comp_type="U8", len=4, fetch_mode="INT_TO_FLOAT_UNIT")
-        layout.attr_add(id="radius", comp_type="F32", len=1, fetch_mode="FLOAT")
-        layout.attr_add(id="quality", comp_type="F32", len=2, fetch_mode="FLOAT")
-        layout.attr_add(id="normal", comp_type="I8", len=4, fetch_mode="INT_TO_FLOAT_UNIT")
-        vertices = gpu.types.GPUVertBuf(layout, count)
-        vertices.attr_fill("position", positions(data))
-        vertices.attr_fill("colour", np.rint(colours, out=colours).astype(np.uint8))
-        vertices.attr_fill("radius", _floats(data, "radius")[:, None])
-        vertices.attr_fill("quality", quality)
-        vertices.attr_fill("normal", normals)
-        _batches[key] = gpu.types.GPUBatch(type="POINTS", buf=vertices)
-    return _batches[key]
+class _Upload:
+    """A cloud on its way into graphics memory: first its attributes are fetched, then a batch is made of each PIECE."""
+
+    def __init__(self) -> None:
+        self.whole = False
+        self._fetched: dict[str, np.ndarray] = {}
+        self._batches: list[gpu.types.GPUBatch] = []
+
+    def go_on(self, data: bpy.types.PointCloud) -> None:
+        """Do what can be begun within PIECE_SECONDS."""
+        deadline = time.monotonic() + PIECE_SECONDS
+        while not self.whole and time.monotonic() < deadline:
+            wanted = (name for name in _ATTRIBUTES if name in data.attributes and name not in self._fetched)
+            if (missing := next(wanted, None)) is not None:
+                field, width, kind = _ATTRIBUTES[missing]
+                values = np.empty((len(data.points), width), kind)
+                data.attributes[missing].data.foreach_get(field, values.ravel())
+                self._fetched[missing] = values
+            elif (start := len(self._batches) * PIECE) < len(data.points):
+                self._batches.append(_batch({
+                    name: values[start : start + PIECE] for name, values in self._fetched.items()
+                }))
+            else:
+                self.whole = True
+                self._fetched.clear()
+
+    def draw(self, shader: gpu.types.GPUShader, count: int) -> None:
+        """Draw the first `count` points, or those of them that have come so far."""
+        for number, batch in enumerate(self._batches):
+            if (left := count - number * PIECE) > 0:
+                batch.draw_range(shader, elem_start=0, elem_count=min(left, PIECE))
 
 
-def _floats(data: bpy.types.PointCloud, name: str, field: str = "value", width: int = 1) -> np.ndarray:
-    values = np.empty(len(data.points) * width, np.float32)
-    data.attributes[name].data.foreach_get(field, values)
-    return values.reshape(-1, width) if width > 1 else values
+def _batch(piece: dict[str, np.ndarray]) -> gpu.types.GPUBatch:
+    """The points whose attributes `piece` holds, by name, each (n, width)."""
+    count = len(piece["position"])
+    quality = np.concatenate([piece["confidence"], piece["views"]], axis=1).astype(np.float32)
+    if display.REMOVED in piece:
+        quality[piece[display.REMOVED][:, 0]] = -1  # below every threshold
+    normals = np.zeros((count, 4), np.int8)
+    normals[:, :3] = np.rint(127 * piece["normal"])
+    layout = gpu.types.GPUVertFormat()
+    layout.attr_add(id="position", comp_type="F32", len=3, fetch_mode="FLOAT")
+    layout.attr_add(id="colour", comp_type="U16", len=4, fetch_mode="INT_TO_FLOAT_UNIT")
+    layout.attr_add(id="radius", comp_type="F32", len=1, fetch_mode="FLOAT")
+    layout.attr_add(id="quality", comp_type="F32", len=2, fetch_mode="FLOAT")
+    layout.attr_add(id="normal", comp_type="I8", len=4, fetch_mode="INT_TO_FLOAT_UNIT")
+    vertices = gpu.types.GPUVertBuf(layout, count)
+    vertices.attr_fill("position", piece["position"])
+    vertices.attr_fill("colour", np.rint(np.clip(piece[COLOUR], 0, 1) * 65535).astype(np.uint16))
+    vertices.attr_fill("radius", piece["radius"])
+    vertices.attr_fill("quality", quality)
+    vertices.attr_fill("normal", normals)
+    return gpu.types.GPUBatch(type="POINTS", buf=vertices)
