@@ -12,13 +12,14 @@ import json
 from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from .errors import CuReconError, WorkspaceError
 from .files import disk_errors, write_json
 from .ply import Cloud
+from .reading import FARTHEST, OneOf, Shape, Within, build, parse_json, read_json
 from .types import Frame
 
 FILE_NAME = "adjustment.json"
@@ -44,12 +45,12 @@ class Measured:
     reconstructed; `sigma` is the relative standard deviation of the scale; `when` is local time, ISO 8601.
     """
 
-    kind: str
-    value: float
+    kind: Annotated[str, OneOf(SCALE, LEVEL, NORTH)]
+    value: Annotated[float, Within(-FARTHEST, FARTHEST)]
     how: str
     when: str
-    points: tuple[tuple[float, ...], ...] = ()
-    sigma: float = 0.0
+    points: tuple[tuple[float, float, float], ...] = ()
+    sigma: Annotated[float, Within(0, FARTHEST)] = 0.0
     valid: bool = True  # False for a turn after which y is not north
 
 
@@ -57,8 +58,8 @@ class Measured:
 class Adjustment:
     """adjusted = scale * rotation @ reconstructed. `rotation` is (3,3); the last measurement of each kind is kept."""
 
-    scale: float = 1.0
-    rotation: np.ndarray = field(default_factory=lambda: np.eye(3))
+    scale: Annotated[float, Within(1e-9, FARTHEST)] = 1.0
+    rotation: Annotated[np.ndarray, Shape(3, 3)] = field(default_factory=lambda: np.eye(3))
     measured: tuple[Measured, ...] = ()
 
     @property
@@ -75,7 +76,7 @@ class Adjustment:
               ) -> Adjustment:
         """This one followed by `scale` and `turn` (3,3); `points` (N,3) are in the frame as adjusted so far."""
         picked = np.linalg.solve(self.scale * self.rotation, points.T).T if len(points) else points
-        step = replace(step, points=tuple(tuple(map(float, point)) for point in picked))
+        step = replace(step, points=tuple((float(x), float(y), float(z)) for x, y, z in picked))
         rotation = self.rotation if turn is None else turn @ self.rotation
         u, _, vt = np.linalg.svd(rotation)  # rounding must not add up to a shear
         return Adjustment(
@@ -221,12 +222,12 @@ def read(folder: Path) -> Adjustment:
     damaged file."""
     path = folder / FILE_NAME
     try:
-        return from_json(path.read_text(encoding="utf-8"))
+        return _built(read_json(path))
     except FileNotFoundError:
         return Adjustment()
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError) as error:
         raise WorkspaceError(
-            f"{path} is damaged.", path=path,
+            f"{path} is damaged ({error}).", path=path,
             remedy="Delete that file and import again: the site comes as it was reconstructed.",
         ) from error
 
@@ -247,17 +248,20 @@ def to_json(adjustment: Adjustment) -> str:
 
 
 def from_json(text: str) -> Adjustment:
-    """The inverse of `to_json`. Raises ValueError, KeyError or TypeError."""
-    fields = json.loads(text)
-    if fields["format"] > FORMAT:
+    """The inverse of `to_json`. Raises ValueError."""
+    return _built(parse_json(text))
+
+
+def _built(fields: Any) -> Adjustment:
+    if not isinstance(fields, dict):
+        raise ValueError("no record")
+    if build(int, fields.get("format"), "format") > FORMAT:
         raise ValueError("written by a newer version of CU-Recon")
-    rotation, scale = np.array(fields["rotation"], float), float(fields["scale"])
-    if rotation.shape != (3, 3) or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) or not scale > 0:
+    made: Adjustment = build(Adjustment, {name: value for name, value in fields.items() if name != "format"})
+    turn = made.rotation
+    if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) or np.linalg.det(turn) < 0:
         raise ValueError("not a similarity")
-    measured = tuple(
-        Measured(**{**step, "points": tuple(map(tuple, step["points"]))}) for step in fields["measured"]
-    )
-    return Adjustment(scale=scale, rotation=rotation, measured=measured)
+    return made
 
 
 def _fields(adjustment: Adjustment) -> dict[str, Any]:

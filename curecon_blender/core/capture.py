@@ -4,13 +4,14 @@
 
 from __future__ import annotations
 
-import json
 from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 
 from .errors import WorkspaceError
+from .reading import read_json
 
 FILE_NAME = "photos.json"
+FIRST_YEAR, LAST_YEAR = 1900, 2200  # of a photo's time; a clock beyond them was never set
 
 
 def read_times(workspace: Path) -> dict[str, datetime]:
@@ -21,8 +22,10 @@ def read_times(workspace: Path) -> dict[str, datetime]:
     """
     path = workspace / FILE_NAME
     try:
-        photos = json.loads(path.read_text(encoding="utf-8"))["photos"]
+        photos = read_json(path)["photos"]
         times = {photo["name"]: datetime.fromisoformat(photo["time"]) for photo in photos if photo["time"]}
+        if not all(isinstance(name, str) and FIRST_YEAR <= time.year <= LAST_YEAR for name, time in times.items()):
+            raise ValueError("a time that no photo can have")
     except FileNotFoundError as error:
         raise WorkspaceError(
             f"{path} is missing, so the photos' capture times are unknown.",

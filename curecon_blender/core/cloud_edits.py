@@ -11,13 +11,13 @@ from __future__ import annotations
 import hashlib
 from dataclasses import fields
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 
 from .errors import WorkspaceError
 from .files import atomic_write, disk_errors
 from .ply import Cloud, read_cloud
+from .reading import Expected, read_arrays
 
 _BLOCK, _BLOCKS = 1 << 16, 16  # bytes, and how many spread over the file, that its digest takes in
 
@@ -32,22 +32,25 @@ def read_removed(cloud: Path, count: int) -> np.ndarray | None:
     file belongs to an earlier cloud (see `is_stale`). Raises WorkspaceError for a damaged file."""
     path = removed_file(cloud)
     try:
-        with np.load(path, allow_pickle=False) as content:
-            if str(content["cloud"]) != digest(cloud):
-                return None
-            return np.unpackbits(content["bits"], count=count).astype(bool)
+        if str(read_arrays(path, {"cloud": Expected((), "U")})["cloud"]) != digest(cloud):
+            return None
+        bits = read_arrays(path, {"bits": Expected((-(-count // 8),), "u")})["bits"]
+        return np.unpackbits(bits.astype(np.uint8), count=count).astype(bool)
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, KeyError, BadZipFile) as error:
-        raise WorkspaceError(
-            f"{path} is damaged.", remedy="Delete that file and import again: all points come back.", path=path
-        ) from error
+    except (OSError, ValueError) as error:
+        raise _damaged(path, error) from error
 
 
 def is_stale(cloud: Path) -> bool:
     """Whether points are kept as taken out of an earlier cloud of that name."""
     path = removed_file(cloud)
-    return path.is_file() and cloud.is_file() and read_removed(cloud, 0) is None
+    if not (path.is_file() and cloud.is_file()):
+        return False
+    try:
+        return str(read_arrays(path, {"cloud": Expected((), "U")})["cloud"]) != digest(cloud)
+    except (OSError, ValueError) as error:
+        raise _damaged(path, error) from error
 
 
 def write_removed(cloud: Path, removed: np.ndarray) -> None:
@@ -74,6 +77,12 @@ def edits_key(cloud: Path) -> str:
     """A digest of what was taken out of a cloud file; empty where nothing was."""
     path = removed_file(cloud)
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() and not is_stale(cloud) else ""
+
+
+def _damaged(path: Path, error: Exception) -> WorkspaceError:
+    return WorkspaceError(
+        f"{path} is damaged ({error}).", remedy="Delete that file and import again: all points come back.", path=path
+    )
 
 
 def digest(cloud: Path) -> str:

@@ -10,15 +10,20 @@ import tempfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
+import numpy as np
 import pycolmap
 
+from .colmap_files import check_binary
 from .errors import SparseError, WorkspaceError
 from .files import disk_errors
 from .georeference import FRAME_FILE, read_frame, write_frame
+from .images import MAX_PIXELS
 from .messages import Reporter
+from .reading import FARTHEST
 from .types import Frame, Photo, PhotoSet
 
-_READ_ERRORS = (ValueError, IndexError, RuntimeError, MemoryError)  # what pycolmap raises on malformed files
+# What pycolmap raises on malformed files.
+_READ_ERRORS = (ValueError, LookupError, RuntimeError, MemoryError, TypeError, ArithmeticError, OSError)
 SIZE_TOLERANCE = 0.01  # relative difference of aspect ratios that rounding to whole pixels can make
 
 
@@ -31,7 +36,7 @@ def find_models(folder: Path) -> list[Path]:
         if _is_model(base):
             return [base]
         if base.is_dir():
-            numbered = [path for path in base.iterdir() if path.name.isdigit() and _is_model(path)]
+            numbered = [path for path in base.iterdir() if path.name.isdecimal() and _is_model(path)]
             if numbered:
                 return sorted(numbered, key=lambda path: int(path.name))
     what = "does not exist" if not folder.exists() else "holds no COLMAP model (cameras and images, .txt or .bin)"
@@ -61,10 +66,13 @@ def read_model(folder: Path) -> pycolmap.Reconstruction:
         model = pycolmap.Reconstruction()
         try:
             if suffix == ".bin":
+                check_binary(source)
                 model.read_binary(source)
             else:
                 model.read_text(source)
                 _restore_names(model, source / "images.txt")
+                _check_references(model)
+            _check_numbers(model)
         except _READ_ERRORS as error:
             raise SparseError(
                 f"The COLMAP model in {folder} cannot be read: its {suffix} files are damaged, cut short or do not "
@@ -73,12 +81,39 @@ def read_model(folder: Path) -> pycolmap.Reconstruction:
                 path=folder,
             ) from error
     for camera in model.cameras.values():
-        if camera.is_spherical() or not camera.verify_params():
+        if not _is_usable(camera):
             raise SparseError(
                 f"Camera {camera.camera_id} of the model in {folder} ({camera.model_name}) cannot be used.",
                 remedy="Use perspective or fisheye cameras with all of their parameters, not panoramas.", path=folder,
             )
     return model
+
+
+def _check_numbers(model: pycolmap.Reconstruction) -> None:
+    """Raises ValueError where a place or a pose is no number or beyond reach, or a point names what is not there."""
+    poses = [model.image(i).cam_from_world().matrix() for i in model.reg_image_ids()]
+    places = [point.xyz for point in model.points3D.values()]
+    for values in (np.array(poses), np.array(places)):
+        if values.size and not (np.abs(values) < FARTHEST).all():
+            raise ValueError("a place or a pose is no number, or beyond reach")
+
+
+def _check_references(model: pycolmap.Reconstruction) -> None:
+    """What `check_binary` sees in a binary model beforehand. Raises ValueError or IndexError."""
+    for image_id in model.reg_image_ids():
+        for observation in model.image(image_id).get_observation_points2D():
+            model.point3D(observation.point3D_id)
+    for point_id, point in model.points3D.items():
+        for element in point.track.elements:
+            if model.image(element.image_id).points2D[element.point2D_idx].point3D_id != point_id:
+                raise ValueError(f"point {point_id} and its observations do not agree")
+
+
+def _is_usable(camera: pycolmap.Camera) -> bool:
+    if camera.is_spherical() or not camera.verify_params() or not 0 < camera.width * camera.height <= MAX_PIXELS:
+        return False
+    focal = [camera.params[i] for i in camera.focal_length_idxs()]
+    return bool((np.abs(camera.params) < FARTHEST).all() and min(focal) > 1e-3)
 
 
 def _restore_names(model: pycolmap.Reconstruction, images: Path) -> None:

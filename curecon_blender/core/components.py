@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,8 @@ import numpy as np
 
 from .errors import WorkspaceError
 from .files import write_json
-from .types import Component, Frame, GeoPosition, View
+from .reading import FARTHEST, build, read_json
+from .types import Component, View
 
 FILE_NAME = "views.json"
 FORMAT = 1
@@ -31,21 +31,25 @@ def read(workspace: Path) -> list[Component]:
     """
     path = workspace / FILE_NAME
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        if content["format"] > FORMAT:
+        content = read_json(path)
+        if not isinstance(content, dict):
+            raise ValueError("no record")
+        if build(int, content.get("format"), "format") > FORMAT:
             raise WorkspaceError(
                 f"{path} was written by a newer version of CU-Recon.", remedy="Update CU-Recon, then try again.",
                 path=path,
             )
-        return [_component_from_json(c) for c in content["components"]]
+        components: list[Component] = list(build(tuple[Component, ...], content.get("components"), "components"))
+        _check(components)
+        return components
     except FileNotFoundError as error:
         raise WorkspaceError(
             f"{workspace} holds no finished cameras ({FILE_NAME} is missing).",
             remedy="Choose the workspace folder of a reconstruction, or run Reconstruct.", path=path,
         ) from error
-    except (json.JSONDecodeError, KeyError, TypeError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:
         raise WorkspaceError(
-            f"{path} is damaged.", remedy="Delete that file and run Reconstruct again.", path=path
+            f"{path} is damaged ({error}).", remedy="Delete that file and run Reconstruct again.", path=path
         ) from error
 
 
@@ -57,18 +61,25 @@ def _component_to_json(component: Component) -> dict[str, Any]:
     return fields
 
 
-def _component_from_json(fields: dict[str, Any]) -> Component:
-    frame = dict(fields["frame"])
-    if frame["origin"] is not None:
-        frame["origin"] = GeoPosition(**frame["origin"])
-    views = tuple(
-        View(**{
-            **view,
-            "K": np.array(view["K"], dtype=np.float64),
-            "cam_from_world": np.array(view["cam_from_world"], dtype=np.float64),
-            "sources": tuple((name, float(score)) for name, score in view["sources"]),
-            "overlaps": tuple(view["overlaps"]),
-        })
-        for view in fields["views"]
-    )
-    return Component(**{**fields, "frame": Frame(**frame), "views": views})
+def _check(components: list[Component]) -> None:
+    """Raises ValueError for what no field tells on its own: cameras that are none, names that nobody has."""
+    if [component.index for component in components] != list(range(len(components))):
+        raise ValueError("the components are not in order")
+    views = [view for component in components for view in component.views]
+    if len({view.name for view in views}) != len(views):
+        raise ValueError("two views have one name")
+    for component in components:
+        names = {view.name for view in component.views}
+        for view in component.views:
+            if not {name for name, _ in view.sources} | set(view.overlaps) <= names - {view.name}:
+                raise ValueError(f"{view.name} names a view that is not there")
+            if not _is_camera(view):
+                raise ValueError(f"the camera of {view.name} is none")
+
+
+def _is_camera(view: View) -> bool:
+    K, rotation = view.K, view.cam_from_world[:, :3]
+    rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) and np.linalg.det(rotation) > 0
+    in_reach = np.abs(view.cam_from_world[:, 3]).max() < FARTHEST and np.abs(K).max() < FARTHEST
+    return bool(rigid and in_reach and min(K[0, 0], K[1, 1]) > 1e-3 and (K[2] == [0, 0, 1]).all()
+                and (K[[0, 1], [1, 0]] == 0).all() and view.near < view.far)

@@ -8,13 +8,12 @@ this computer is. That comes from the user's own finished jobs, a stage at a tim
 
 from __future__ import annotations
 
-import json
 import statistics
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
@@ -24,6 +23,7 @@ import torch
 from . import depth, matching
 from .files import write_json
 from .options import PRESETS, STAGES, SURFACE_STAGES, Options
+from .reading import Within, build, read_json
 from .types import Photo
 from .workspace import folder_bytes
 
@@ -190,7 +190,8 @@ def _key(stage: str, device: torch.device) -> str:
 def _read(speeds: Path | None) -> dict[str, list[float]]:
     """What finished jobs have told; nothing where there is no file, or it cannot be read: it can be learned again."""
     try:
-        known = json.loads(speeds.read_text(encoding="utf-8")) if speeds is not None else {}
-    except (FileNotFoundError, json.JSONDecodeError, UnicodeDecodeError):
+        known = build(dict, read_json(speeds, 1 << 20)) if speeds is not None else {}
+        kind = tuple[Annotated[float, Within(1e-6, 1e6)], ...]
+        return {stage: list(build(kind, ratios, stage)) for stage, ratios in known.items()}
+    except (OSError, ValueError):
         return {}
-    return known if isinstance(known, dict) else {}

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import io
-import zipfile
 from collections import OrderedDict
 from dataclasses import dataclass
 from itertools import product
@@ -23,6 +22,7 @@ from .files import atomic_write
 from .messages import Reporter
 from .network import FEWEST_HYPOTHESES, MOST_HYPOTHESES, MULTIPLE, LCMMVSNet, depth_from_t
 from .options import Options
+from .reading import Expected, read_arrays
 from .types import Component, View
 
 TILE_OVERLAP = 64  # pixels that neighbouring tiles share; half of it on each side is thrown away
@@ -306,8 +306,10 @@ def estimate_depths(
 def _is_finished(path: Path, view: View, key: str) -> bool:
     """Whether a photo's depth is there, whole, and made for the same options, inputs and camera."""
     try:
-        with np.load(path) as arrays:
-            return ("key" in arrays and str(arrays["key"]) == key and np.array_equal(arrays["K"], view.K)
-                    and np.array_equal(arrays["cam_from_world"], view.cam_from_world))
-    except (FileNotFoundError, zipfile.BadZipFile, ValueError, EOFError):
+        arrays = read_arrays(path, {
+            "key": Expected((), "U"), "K": Expected((3, 3), "f"), "cam_from_world": Expected((3, 4), "f"),
+        })
+    except (OSError, ValueError):
         return False
+    return (str(arrays["key"]) == key and np.array_equal(arrays["K"], view.K)
+            and np.array_equal(arrays["cam_from_world"], view.cam_from_world))

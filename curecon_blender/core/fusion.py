@@ -18,8 +18,6 @@ cache of other photos that is bounded in bytes; the depths accepted wait on disk
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from collections import OrderedDict
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -34,6 +32,7 @@ from .files import disk_errors, scratch_folder
 from .messages import Reporter
 from .options import Options
 from .ply import Cloud, CloudWriter
+from .reading import Expected, read_arrays
 from .sampling import ROW, sample
 from .sky import sky_mask
 from .types import Component, View
@@ -384,20 +383,17 @@ def _read_arrays(view: View, workspace: Path, *keys: str) -> list[np.ndarray]:
     """Arrays (H,W) of `depth/NAME.npz`, after a check that they are of this view."""
     path = workspace / "depth" / f"{view.name}.npz"
     remedy = "Delete that file and run Reconstruct again: only that photo's depth is computed anew."
+    expected = {key: Expected((view.height, view.width), "f") for key in keys}
+    expected |= {"K": Expected((3, 3), "f"), "cam_from_world": Expected((3, 4), "f")}
     try:
-        with np.load(path) as file:
-            arrays = [file[key] for key in keys]
-            cameras = file["K"], file["cam_from_world"]
+        found = read_arrays(path, expected)
     except FileNotFoundError as error:
         raise WorkspaceError(
             f"The depth map of {view.name} is missing ({path}).",
             remedy="Run Reconstruct again: it computes the depth maps that are missing.", path=path,
         ) from error
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise WorkspaceError(f"The depth map {path} is damaged.", remedy=remedy, path=path) from error
-    if any(array.shape != (view.height, view.width) for array in arrays) or not all(
-        ours.shape == theirs.shape and np.allclose(ours, theirs, rtol=1e-4, atol=1e-4)
-        for ours, theirs in zip((view.K, view.cam_from_world), cameras, strict=True)
-    ):
+    except (OSError, ValueError) as error:
+        raise WorkspaceError(f"The depth map {path} is damaged ({error}).", remedy=remedy, path=path) from error
+    if not all(np.allclose(getattr(view, name), found[name], rtol=1e-4, atol=1e-4) for name in ("K", "cam_from_world")):
         raise WorkspaceError(f"The depth map {path} was made for another camera.", remedy=remedy, path=path)
-    return arrays
+    return [found[key] for key in keys]

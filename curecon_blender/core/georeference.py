@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -14,6 +13,7 @@ import pycolmap
 
 from .errors import WorkspaceError
 from .files import write_json
+from .reading import build, read_json
 from .types import Frame, GeoPosition, Gimbal, Photo
 
 FRAME_FILE = "frame.json"
@@ -44,13 +44,11 @@ def read_frame(folder: Path) -> Frame:
     """The record that `write_frame` left in a component's folder. Raises WorkspaceError when missing or damaged."""
     path = folder / FRAME_FILE
     try:
-        fields = json.loads(path.read_text(encoding="utf-8"))
-        if fields["origin"] is not None:
-            fields["origin"] = GeoPosition(**fields["origin"])
-        return Frame(**fields)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        frame: Frame = build(Frame, read_json(path))
+        return frame
+    except (OSError, ValueError) as error:
         raise WorkspaceError(
-            f"{path} is missing or damaged.", remedy="Run Reconstruct again in this workspace.", path=path
+            f"{path} is missing or damaged ({error}).", remedy="Run Reconstruct again in this workspace.", path=path
         ) from error
 
 

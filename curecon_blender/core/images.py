@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import io
+import os
 import struct
 import warnings
 import zlib
@@ -22,6 +23,9 @@ from .files import atomic_write
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 MAX_PIXELS = 500_000_000  # four times the largest drone and phone cameras; above it a header is more likely damaged
+# A file of a few kilobytes can unpack to gigabytes. No photo is packed that tightly: a black one has 100 pixels a byte.
+BOMB_PIXELS, BOMB_PIXELS_PER_BYTE = 50_000_000, 250
+MOST_SCANS = 200  # of a progressive JPEG; cameras write ten, and each costs as much as a decoding of the whole
 
 # Pillow refuses pictures above 179 megapixels, as decompression bombs; MAX_PIXELS takes its place.
 Image.MAX_IMAGE_PIXELS = None
@@ -59,11 +63,16 @@ def open_image(path: Path) -> Iterator[Image.Image]:
             # Opened by Python, not by OpenCV, which cannot open every name on Windows.
             file = stack.enter_context(open(path, "rb"))
             image = Image.open(file, formats=("JPEG", "PNG", "TIFF"))
-        if image.width * image.height > MAX_PIXELS:
+            size, pixels = os.fstat(file.fileno()).st_size, image.width * image.height
+        if pixels > MAX_PIXELS:
             raise PhotoError(
-                f"{shown(path)} has {image.width * image.height / 1e6:.0f} megapixels: "
-                f"at most {MAX_PIXELS / 1e6:.0f} can be read.",
+                f"{shown(path)} has {pixels / 1e6:.0f} megapixels: at most {MAX_PIXELS / 1e6:.0f} can be read.",
                 remedy="Scale it down, or cut it into single photos.", path=path,
+            )
+        if (pixels > BOMB_PIXELS and pixels > BOMB_PIXELS_PER_BYTE * size) or _scans(image, path) > MOST_SCANS:
+            raise PhotoError(
+                f"{shown(path)} unpacks to {pixels / 1e6:.0f} megapixels from {size / 1e3:.0f} kB, as no photo does.",
+                remedy="Leave it out: it may have been made to stop programs that open it.", path=path,
             )
         yield image
 
@@ -122,6 +131,11 @@ def write_jpeg(path: Path, rgb: np.ndarray, quality: int = 95) -> None:
         file.write(encoded.getbuffer())
 
 
+def is_text(path: Path) -> bool:
+    """Whether a path can be written down: Linux allows names of any bytes."""
+    return not any("\ud800" <= letter <= "\udfff" for letter in str(path))
+
+
 def shown(path: Path) -> str:
     """A file's name as it can stand in a one-line message."""
     return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in path.name)
@@ -156,6 +170,11 @@ def _photo_errors(path: Path) -> Iterator[None]:
             f"{shown(path)} is damaged or cut short ({error}).",
             remedy="Copy it from the camera again, or leave it out.", path=path,
         ) from error
+
+
+def _scans(image: Image.Image, path: Path) -> int:
+    """How many times a decoder must go over a JPEG."""
+    return path.read_bytes().count(b"\xff\xda") if image.format in ("JPEG", "MPO") else 1
 
 
 def _orientation(image: Image.Image) -> int:

@@ -8,7 +8,6 @@ on from there. Keypoints are in pixels of the original photo (EXIF orientation a
 
 from __future__ import annotations
 
-import json
 import os
 import sqlite3
 import threading
@@ -30,6 +29,7 @@ from .errors import PhotoError, WorkspaceError
 from .files import disk_errors, write_json
 from .georeference import SHORTEST_BASELINE, gimbal_rotation, gps_enu
 from .images import read_rgb, shown
+from .reading import build, read_json
 from .types import Photo
 
 MAX_THREADS = 16
@@ -106,10 +106,11 @@ def _fingerprint(photo: Photo) -> list[Any]:
 
 def _read_record(path: Path) -> dict[str, Any]:
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (FileNotFoundError, ValueError):  # never written, or damaged: both mean that nothing is known
+        content = build(dict, read_json(path))
+        build(dict, content.get("photos", {}))
+    except (OSError, ValueError):  # never written, or damaged: both mean that nothing is known
         return {}
-    return content if isinstance(content, dict) else {}
+    return dict(content)
 
 
 def _intact(path: Path) -> bool:

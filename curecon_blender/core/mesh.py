@@ -8,12 +8,14 @@ TextureFile), so that other programs open it as it is.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from . import reading
 from .errors import WorkspaceError
 from .files import atomic_write
 
@@ -29,6 +31,7 @@ _VERTEX_LINES = (
 _FACE_LINES = ("property list uchar int vertex_indices", "property uchar filled")
 _TEXTURED_LINES = ("property list uchar float texcoord", "property int texnumber")
 _PAGE_COMMENT = "comment TextureFile "
+_ELEMENT = re.compile(r"element (?:vertex|face) (\d{1,12})", re.ASCII)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,19 +123,24 @@ def read_mesh(path: Path) -> Mesh:
                 lines.append(line)
                 if not line or len(lines) > 100:
                     raise WorkspaceError(f"{path} is not a mesh of CU-Recon.", remedy=remedy, path=path)
-            elements = [line.split()[2] for line in lines if line.startswith(("element vertex ", "element face "))]
-            counts = [int(number) for number in elements if number.isdigit()]
+            counts = [int(found[1]) for line in lines if (found := _ELEMENT.fullmatch(line))]
             pages = tuple(line.removeprefix(_PAGE_COMMENT) for line in lines if line.startswith(_PAGE_COMMENT))
             textured = _TEXTURED_LINES[1] in lines
             expected = [line for line in lines if line.startswith("property")]
-            if len(counts) != 2 or expected != [*_VERTEX_LINES, *_FACE_LINES, *(_TEXTURED_LINES if textured else ())]:
+            if (len(counts) != 2 or not all(map(reading.is_file_name, pages))
+                    or expected != [*_VERTEX_LINES, *_FACE_LINES, *(_TEXTURED_LINES if textured else ())]):
                 raise WorkspaceError(f"{path} is not a mesh of CU-Recon.", remedy=remedy, path=path)
-            vertices = np.fromfile(file, _VERTEX, counts[0])
-            faces = np.fromfile(file, _TEXTURED_FACE if textured else _FACE, counts[1])
+            face = _TEXTURED_FACE if textured else _FACE
+            if counts[0] * _VERTEX.itemsize + counts[1] * face.itemsize > reading.left_bytes(path, file.tell()):
+                raise WorkspaceError(f"{path} is cut short.", remedy=remedy, path=path)
+            vertices, faces = np.fromfile(file, _VERTEX, counts[0]), np.fromfile(file, face, counts[1])
     except FileNotFoundError as error:
         raise WorkspaceError(f"{path} does not exist.", remedy=remedy, path=path) from error
-    if len(vertices) != counts[0] or len(faces) != counts[1]:
-        raise WorkspaceError(f"{path} is cut short.", remedy=remedy, path=path)
+    except OSError as error:
+        raise WorkspaceError(f"{path} cannot be read ({error.strerror}).", remedy=remedy, path=path) from error
+    numbers = [vertices["position"], vertices["distance"], *([faces["uv"]] if textured else ())]
+    if not all((np.abs(values) < reading.FARTHEST).all() for values in numbers):
+        raise WorkspaceError(f"{path} is damaged: it holds what is no number.", remedy=remedy, path=path)
     corners = faces["vertices"]
     if len(faces) and (corners.min() < 0 or corners.max() >= len(vertices)):
         raise WorkspaceError(f"{path} is damaged: a face names a vertex that is not there.", remedy=remedy, path=path)

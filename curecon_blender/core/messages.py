@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from .errors import Cancelled, CuReconError
+from .reading import build, parse_json
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,9 +74,10 @@ def encode(message: Message) -> str:
 def decode(line: str) -> Message:
     """The message in a line. Raises ValueError for anything that is not one of the closed set."""
     try:
-        fields = json.loads(line)
-        return _KINDS[fields.pop("type")](**fields)
-    except (KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
+        fields = build(dict, parse_json(line))
+        message: Message = build(_KINDS[build(str, fields.pop("type"))], fields)
+        return message
+    except (KeyError, ValueError) as error:
         raise ValueError(f"not a worker message: {line[:200]!r}") from error
 
 

@@ -15,9 +15,12 @@ from xml.etree import ElementTree
 
 from PIL import ExifTags, Image
 
+from .capture import FIRST_YEAR, LAST_YEAR
 from .images import exif_tags, open_image, oriented_size
 from .types import GeoPosition, Gimbal
 
+_MOST_XMP = 1 << 20  # bytes; drones write some 4 kB
+_MOST_TEXT = 100  # characters of a tag
 _DJI = "{http://www.dji.com/drone-dji/1.0/}"
 _FILM_DIAGONAL = math.hypot(36, 24)  # mm
 _FOCAL_PLANE_UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # EXIF FocalPlaneResolutionUnit, in mm
@@ -58,7 +61,7 @@ def from_image(image: Image.Image) -> Metadata:
         focal_px=_focal_px(exif, dji, model, *oriented_size(image)),
         gps=_position(exif_tags(image, ExifTags.IFD.GPSInfo), dji),
         gimbal=_gimbal(dji),
-        relative_altitude=_number(dji.get("RelativeAltitude")),
+        relative_altitude=_height(dji.get("RelativeAltitude")),
         time=_time(main, exif),
     )
 
@@ -122,8 +125,8 @@ def _position(tags: Mapping[int, Any], dji: Mapping[str, str]) -> GeoPosition | 
     if not _is_place(latitude, longitude) or _text(tags.get(ExifTags.GPS.GPSStatus)) == "V":
         latitude = _number(dji.get("GpsLatitude"))
         longitude = _number(dji.get("GpsLongitude", dji.get("GpsLongtitude")))  # DJI's own misspelling, for years
-    altitudes = (_altitude(tags), _number(dji.get("AbsoluteAltitude")))
-    altitude = next((a for a in altitudes if a is not None and -500 < a < 10_000), None)
+    altitudes = (_altitude(tags), _height(dji.get("AbsoluteAltitude")))
+    altitude = next((a for a in altitudes if a is not None), None)
     if latitude is None or longitude is None or altitude is None or not _is_place(latitude, longitude):
         return None
     return GeoPosition(latitude=latitude, longitude=longitude, altitude=altitude)
@@ -151,7 +154,13 @@ def _angle(value: Any, reference: Any, letters: str) -> float | None:
 def _altitude(tags: Mapping[int, Any]) -> float | None:
     altitude = _number(tags.get(ExifTags.GPS.GPSAltitude))
     below_sea = tags.get(ExifTags.GPS.GPSAltitudeRef) in (1, b"\x01")
-    return -altitude if altitude is not None and below_sea else altitude
+    return _height(-altitude if altitude is not None and below_sea else altitude)
+
+
+def _height(value: Any) -> float | None:
+    """Metres, where a drone can be."""
+    height = _number(value)
+    return height if height is not None and -500 < height < 10_000 else None
 
 
 def _gimbal(dji: Mapping[str, str]) -> Gimbal | None:
@@ -165,16 +174,18 @@ def _time(main: Mapping[int, Any], exif: Mapping[int, Any]) -> str | None:
     offset = _text(exif.get(ExifTags.Base.OffsetTimeOriginal))
     for value in (exif.get(ExifTags.Base.DateTimeOriginal), main.get(ExifTags.Base.DateTime)):
         try:
-            time = datetime.strptime(_text(value), "%Y:%m:%d %H:%M:%S").isoformat()
+            time = datetime.strptime(_text(value), "%Y:%m:%d %H:%M:%S")
         except ValueError:
             continue
-        return time + offset if re.fullmatch(r"[+-]\d\d:\d\d", offset) else time
+        if FIRST_YEAR <= time.year <= LAST_YEAR:
+            known = re.fullmatch(r"[+-](0\d|1[0-4]):[0-5]\d", offset, re.ASCII)
+            return time.isoformat() + (offset if known else "")
     return None
 
 
 def _dji_tags(packet: bytes | str | None) -> dict[str, str]:
     """DJI's values in an XMP packet, by name, whether written as attributes or as elements."""
-    if not packet:
+    if not isinstance(packet, bytes | str) or len(packet) > _MOST_XMP:
         return {}
     text = packet.decode("utf-8", "replace") if isinstance(packet, bytes) else packet
     # The packet's wrapper may be padded; a document type, which XMP has no use for, could define entities.
@@ -210,9 +221,10 @@ def _positive(value: Any) -> float | None:
 
 
 def _text(value: Any) -> str:
-    """A tag's text up to its first NUL, on one line."""
+    """A tag's text up to its first NUL, on one line, without control characters."""
     if isinstance(value, bytes):
         value = value.decode("ascii", "replace")
     if not isinstance(value, str):
         return ""
-    return " ".join(value.split("\x00", 1)[0].split())
+    words = " ".join(value.split("\x00", 1)[0].split())
+    return "".join(letter for letter in words if letter.isprintable())[:_MOST_TEXT]

@@ -179,6 +179,8 @@ def _natural(name: str) -> list[tuple[int, str]]:
 
 
 def _examine(path: Path) -> _Examined | SkippedPhoto:
+    if not images.is_text(path):
+        return SkippedPhoto(path=path, reason=f"{images.shown(path)} has a name or a folder whose letters are no text.")
     try:
         with images.open_image(path) as image:
             told = metadata.from_image(image)

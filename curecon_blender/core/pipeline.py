@@ -6,7 +6,6 @@ skipped."""
 from __future__ import annotations
 
 import hashlib
-import json
 import shutil
 import threading
 import time
@@ -24,7 +23,9 @@ from .files import scratch_folder, write_json
 from .mesh import filled_share, mesh_file, read_mesh, textured_folder, write_mesh
 from .messages import Reporter
 from .options import STAGES, SURFACE_STAGES, Options
-from .types import Component, GeoPosition, Gimbal, Photo, PhotoSet, SkippedPhoto
+from .ply import point_count
+from .reading import build, read_json
+from .types import Component, PhotoSet
 from .workspace import StageRecord, Workspace, folder_bytes, key_of
 
 
@@ -276,10 +277,10 @@ class _Job:
             "registered": sum(_registered(root / "sparse")) if (root / "sparse").is_dir() else 0,
             "components": [
                 {"index": c.index, "photos": len(c.views), "scale": c.frame.scale, "up": c.frame.up,
-                 "gps_residual": c.frame.gps_residual, "note": c.frame.note, "points": _point_count(root / c.cloud)}
+                 "gps_residual": c.frame.gps_residual, "note": c.frame.note, "points": point_count(root / c.cloud)}
                 for c in self.components
             ],
-            "points": sum(_point_count(path) for path in clouds),
+            "points": sum(point_count(path) for path in clouds),
             "meshes": [_described(root, c.index) for c in self.components if (root / mesh_file(c.index)).exists()]
             if set(SURFACE_STAGES) & set(stages) else [],
             "seconds": {s: round(r.seconds, 1) for s, r in records.items() if r},
@@ -377,20 +378,6 @@ def _registered(sparse: Path) -> list[int]:
     return [int.from_bytes(file.read_bytes()[:8], "little") for file in sorted(sparse.glob("[0-9]*/images.bin"))]
 
 
-def _point_count(cloud: Path) -> int:
-    """Points that a PLY's header promises; 0 when there is none."""
-    try:
-        with open(cloud, "rb") as file:
-            for line in iter(file.readline, b"end_header\n"):
-                if line.startswith(b"element vertex"):
-                    return int(line.split()[2])
-                if not line:
-                    break
-    except FileNotFoundError:
-        pass  # not fused yet, or nothing to fuse: no points
-    return 0
-
-
 def _photo_set_to_json(photo_set: PhotoSet) -> dict[str, Any]:
     return {
         "photos": [{**asdict(p), "path": str(p.path)} for p in photo_set.photos],
@@ -400,20 +387,13 @@ def _photo_set_to_json(photo_set: PhotoSet) -> dict[str, Any]:
 
 def _photo_set_from_json(file: Path) -> PhotoSet:
     try:
-        content = json.loads(file.read_text(encoding="utf-8"))
-        return PhotoSet(
-            photos=tuple(
-                Photo(**{
-                    **p, "path": Path(p["path"]), "gps": GeoPosition(**p["gps"]) if p["gps"] else None,
-                    "gimbal": Gimbal(**p["gimbal"]) if p["gimbal"] else None,
-                })
-                for p in content["photos"]
-            ),
-            skipped=tuple(SkippedPhoto(path=Path(s["path"]), reason=s["reason"]) for s in content["skipped"]),
-        )
-    except (FileNotFoundError, json.JSONDecodeError, KeyError, TypeError) as error:
+        photo_set: PhotoSet = build(PhotoSet, read_json(file))
+        if len({photo.name.casefold() for photo in photo_set.photos}) != len(photo_set.photos):
+            raise ValueError("two photos have one name")
+        return photo_set
+    except (OSError, ValueError) as error:
         raise WorkspaceError(
-            f"{file} is missing or damaged.", path=file,
+            f"{file} is missing or damaged ({error}).", path=file,
             remedy=f"Delete the folder {file.parent / 'stages'} and run it again.",
         ) from error
 

@@ -5,12 +5,16 @@
 from __future__ import annotations
 
 import os
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
 import numpy as np
 
+from . import reading
 from .errors import WorkspaceError
 from .files import disk_errors
 
@@ -27,6 +31,8 @@ _NUMPY_TYPES = {
     "uint": "<u4", "uint32": "<u4",
 }
 _COUNT_DIGITS = 12  # room kept in the header for the number of points, known only at the end
+_REMEDY = "Export it as a binary little-endian PLY, or run Reconstruct again."
+_LONGEST_LINE, _MOST_LINES = 1000, 1000  # of a header
 
 
 @dataclass(frozen=True)
@@ -93,24 +99,23 @@ class CloudWriter:
 def read_cloud(path: Path) -> Cloud:
     """Read a binary little-endian PLY with at least x, y, z; missing colour, normal, confidence or views become
     white, zero, 1 and 0. Raises WorkspaceError for a file that is missing, cut short or of another kind."""
-    bad = f"{path} is not a point cloud that CU-Recon can read"
-    remedy = "Export it as a binary little-endian PLY, or run Reconstruct again."
-    try:
-        with open(path, "rb") as file:
-            count, dtype = _read_header(file.readline, bad, remedy, path)
-            rows = np.fromfile(file, dtype, count)
-    except FileNotFoundError as error:
-        raise WorkspaceError(
-            f"{path} does not exist.", remedy="Run Reconstruct to the end first.", path=path
-        ) from error
-    if len(rows) != count:
-        raise WorkspaceError(f"{path} is cut short: {len(rows)} of {count} points.", remedy=remedy, path=path)
+    with _cloud_errors(path), open(path, "rb") as file:
+        count, dtype = _read_header(file.readline)
+        whole = reading.left_bytes(path, file.tell()) // dtype.itemsize
+        if count > whole:
+            raise WorkspaceError(f"{path} is cut short: {whole} of {count} points.", remedy=_REMEDY, path=path)
+        rows = np.fromfile(file, dtype, count)
     names = dtype.names or ()
 
     def columns(wanted: tuple[str, ...], kind: type, default: float) -> np.ndarray:
         if not set(wanted) <= set(names):
             return np.full((count, len(wanted)), default, kind)
-        return np.stack([rows[name] for name in wanted], axis=1).astype(kind, copy=False)
+        values = np.stack([rows[name] for name in wanted], axis=1)
+        if kind is np.float32 and not (np.abs(values) < reading.FARTHEST).all():  # nor is what is no number
+            raise WorkspaceError(f"{path} is damaged: {wanted[0]} has values that are no numbers, or beyond reach.",
+                                 remedy=_REMEDY, path=path)
+        with np.errstate(invalid="ignore"):  # a colour in floating point may be anything
+            return values.astype(kind, copy=False)
 
     return Cloud(
         points=columns(("x", "y", "z"), np.float32, 0),
@@ -121,6 +126,28 @@ def read_cloud(path: Path) -> Cloud:
     )
 
 
+def point_count(path: Path) -> int:
+    """Points that a cloud's file says it holds; 0 where there is no file. Raises WorkspaceError."""
+    if not path.is_file():  # not fused yet, or nothing to fuse
+        return 0
+    with _cloud_errors(path), open(path, "rb") as file:
+        return _read_header(file.readline)[0]
+
+
+@contextmanager
+def _cloud_errors(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except FileNotFoundError as error:
+        raise WorkspaceError(
+            f"{path} does not exist.", remedy="Run Reconstruct to the end first.", path=path
+        ) from error
+    except (OSError, ValueError) as error:
+        raise WorkspaceError(
+            f"{path} is not a point cloud that CU-Recon can read: {error}.", remedy=_REMEDY, path=path
+        ) from error
+
+
 def _header(count: int) -> bytes:
     lines = ["ply", "format binary_little_endian 1.0", "comment CU-Recon",
              f"element vertex {count:<{_COUNT_DIGITS}d}"]
@@ -128,28 +155,31 @@ def _header(count: int) -> bytes:
     return ("\n".join([*lines, "end_header"]) + "\n").encode("ascii")
 
 
-def _read_header(readline, bad: str, remedy: str, path: Path) -> tuple[int, np.dtype]:  # type: ignore[no-untyped-def]
-    if readline().strip() != b"ply":
-        raise WorkspaceError(f"{bad}: it does not begin as PLY.", remedy=remedy, path=path)
+def _read_header(readline: Callable[[int], bytes]) -> tuple[int, np.dtype]:
+    """The number of points and what each holds. Raises ValueError."""
+    if readline(_LONGEST_LINE).strip() != b"ply":
+        raise ValueError("it does not begin as PLY")
     count, fields, in_vertex = None, [], False
-    while (line := readline()).strip() != b"end_header":
-        words = line.decode("ascii", "replace").split()
-        if not line:
-            raise WorkspaceError(f"{bad}: its header has no end.", remedy=remedy, path=path)
-        if not words or words[0] in ("comment", "obj_info"):
-            continue
-        if words[0] == "format" and words[1] != "binary_little_endian":
-            raise WorkspaceError(f"{bad}: its format is {words[1]}.", remedy=remedy, path=path)
-        if words[0] == "element":
-            in_vertex = words[1] == "vertex"
-            if in_vertex and count is None:
-                count = int(words[2])
-            elif count is None:
-                raise WorkspaceError(f"{bad}: {words[1]} comes before its points.", remedy=remedy, path=path)
-        if words[0] == "property" and in_vertex:
-            if words[1] not in _NUMPY_TYPES:
-                raise WorkspaceError(f"{bad}: property type {words[1]}.", remedy=remedy, path=path)
-            fields.append((words[2], _NUMPY_TYPES[words[1]]))
-    if count is None or not {"x", "y", "z"} <= {name for name, _ in fields}:
-        raise WorkspaceError(f"{bad}: it has no x, y, z.", remedy=remedy, path=path)
+    for _ in range(_MOST_LINES):
+        line = readline(_LONGEST_LINE)
+        if line.strip() == b"end_header":
+            break
+        match line.decode("ascii", "replace").split():
+            case ["format", kind, *_] if kind != "binary_little_endian":
+                raise ValueError(f"its format is {kind}")
+            case ["element", "vertex", digits] if count is None and re.fullmatch(r"\d{1,12}", digits, re.ASCII):
+                in_vertex, count = True, int(digits)
+            case ["element", name, *_]:
+                if count is None or name == "vertex":
+                    raise ValueError(f"its element {name} is out of place")
+                in_vertex = False
+            case ["property", kind, name] if in_vertex and kind in _NUMPY_TYPES:
+                fields.append((name, _NUMPY_TYPES[kind]))
+            case ["property", *words] if in_vertex:
+                raise ValueError(f"its points have a property {' '.join(words)}")
+    else:
+        raise ValueError("its header has no end")
+    names = [name for name, _ in fields]
+    if count is None or not {"x", "y", "z"} <= set(names) or len(set(names)) != len(names):
+        raise ValueError("it has no x, y, z, or a property twice")
     return count, np.dtype(fields)

@@ -6,26 +6,29 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+
+from .reading import FARTHEST, FILE_NAME, INSIDE, OneOf, Shape, Within
 
 
 @dataclass(frozen=True, kw_only=True)
 class GeoPosition:
     """A geodetic position on WGS84: degrees, degrees, metres."""
 
-    latitude: float
-    longitude: float
-    altitude: float
+    latitude: Annotated[float, Within(-90, 90)]
+    longitude: Annotated[float, Within(-180, 180)]
+    altitude: Annotated[float, Within(-100_000, 100_000)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Gimbal:
     """The camera's attitude as DJI's XMP has it, in degrees: yaw clockwise from north, pitch -90 at the nadir."""
 
-    yaw: float
-    pitch: float
-    roll: float
+    yaw: Annotated[float, Within(-360, 360)]
+    pitch: Annotated[float, Within(-360, 360)]
+    roll: Annotated[float, Within(-360, 360)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,17 +40,17 @@ class Photo:
     EXIF orientation has been applied.
     """
 
-    name: str
+    name: Annotated[str, FILE_NAME]
     path: Path
-    width: int
-    height: int
+    width: Annotated[int, Within(1, 1_000_000)]
+    height: Annotated[int, Within(1, 1_000_000)]
     camera: str  # photos with the same string share one set of intrinsics
-    focal_px: float | None  # focal length in pixels of this photo, where its metadata tells
+    focal_px: Annotated[float, Within(1e-6, FARTHEST)] | None  # in pixels of this photo, where its metadata tells
     gps: GeoPosition | None = None
     gimbal: Gimbal | None = None
-    relative_altitude: float | None = None  # metres above take-off
+    relative_altitude: Annotated[float, Within(-100_000, 100_000)] | None = None  # metres above take-off
     time: str | None = None  # ISO 8601, camera's local time
-    sharpness: float = 0.0  # relative to the job's median photo: below BLURRED it counts as blurred
+    sharpness: Annotated[float, Within(0, FARTHEST)] = 0.0  # relative to the median: below BLURRED it counts as blurred
     blurred: bool = False
     overexposed: bool = False  # too much of it is pure white
     underexposed: bool = False  # too much of it is black
@@ -77,11 +80,11 @@ class Frame:
     or "given" (the frame of a model that was brought in). `north` tells whether y is north (ENU).
     """
 
-    scale: str
-    up: str
+    scale: Annotated[str, OneOf("metres", "unknown")]
+    up: Annotated[str, OneOf("gps", "gravity", "given", "measured")]
     north: bool = False
     origin: GeoPosition | None = None  # geodetic position of the frame's origin
-    gps_residual: float | None = None  # metres, median distance of camera centres from their GPS after alignment
+    gps_residual: Annotated[float, Within(0, FARTHEST)] | None = None  # metres, median, of cameras from their GPS
     note: str = ""  # one sentence for the user
 
 
@@ -94,15 +97,15 @@ class View:
     score (Algorithm 1). `overlaps` are all the views that share enough sparse points, for fusion.
     """
 
-    name: str
-    image: str  # undistorted picture, path relative to the workspace, posix
-    width: int
-    height: int
-    K: np.ndarray
-    cam_from_world: np.ndarray
-    near: float
-    far: float
-    sources: tuple[tuple[str, float], ...]
+    name: Annotated[str, FILE_NAME]
+    image: Annotated[str, INSIDE]  # undistorted picture, path relative to the workspace, posix
+    width: Annotated[int, Within(1, 1_000_000)]
+    height: Annotated[int, Within(1, 1_000_000)]
+    K: Annotated[np.ndarray, Shape(3, 3)]
+    cam_from_world: Annotated[np.ndarray, Shape(3, 4)]
+    near: Annotated[float, Within(1e-9, FARTHEST)]
+    far: Annotated[float, Within(1e-9, FARTHEST)]
+    sources: tuple[tuple[str, Annotated[float, Within(0, FARTHEST)]], ...]
     overlaps: tuple[str, ...] = ()
     original: str = ""  # the photo's own file, absolute path
 
@@ -121,8 +124,8 @@ class Component:
     `sparse` is its COLMAP model and `cloud` its fused cloud, as paths relative to the workspace, posix.
     """
 
-    index: int
-    sparse: str
-    cloud: str
+    index: Annotated[int, Within(0, 100_000)]
+    sparse: Annotated[str, INSIDE]
+    cloud: Annotated[str, INSIDE]
     frame: Frame
     views: tuple[View, ...] = field(default_factory=tuple)

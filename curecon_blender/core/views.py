@@ -11,6 +11,7 @@ import numpy as np
 import pycolmap
 
 from . import images
+from .colmap_model import read_model
 from .errors import SparseError
 from .georeference import read_frame
 from .matching_scores import depth_range, matching_score
@@ -31,7 +32,7 @@ def prepare_views(photo_set: PhotoSet, options: Options, workspace: Path, report
     """
     photos = {photo.name: photo for photo in photo_set.photos}
     folders = sorted((p for p in (workspace / "sparse").iterdir() if p.name.isdigit()), key=lambda p: int(p.name))
-    models = [pycolmap.Reconstruction(str(folder)) for folder in folders]
+    models = [read_model(folder) for folder in folders]
     total = sum(model.num_reg_images() for model in models)
     done = 0
     components = []

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -16,8 +15,11 @@ import torch
 from .errors import WeightsError
 from .files import write_json
 from .network import LCMMVSNet, NetworkConfig
+from .reading import build, read_json
 
 SHIPPED = Path(__file__).parent.parent / "weights" / "lcm_mvsnet.safetensors"
+_MOST_BYTES = 1 << 30  # of a weights file; the shipped ones have 2 MB
+_WIDEST = 512  # channels, groups, hypotheses
 _REMEDY = "Install CU-Recon again, or choose a weights file that came with its .json beside it."
 
 
@@ -29,13 +31,14 @@ def describe(path: Path | None = None) -> dict[str, Any]:
     weights = path or SHIPPED
     record = weights.with_suffix(".json")
     try:
-        found: dict[str, Any] = json.loads(record.read_text(encoding="utf-8"))
-        found["sha256"], found["config"]
+        found: dict[str, Any] = build(dict, read_json(record, 1 << 20))
+        build(str, found["sha256"], "sha256")
+        build(dict, found["config"], "config")
         return found
     except FileNotFoundError as error:
         raise WeightsError(f"{record} is missing.", remedy=_REMEDY, path=record) from error
-    except (json.JSONDecodeError, KeyError, TypeError, UnicodeDecodeError) as error:
-        raise WeightsError(f"{record} is damaged.", remedy=_REMEDY, path=record) from error
+    except (OSError, ValueError, KeyError) as error:
+        raise WeightsError(f"{record} is damaged ({error}).", remedy=_REMEDY, path=record) from error
 
 
 def load_network(path: Path | None = None) -> LCMMVSNet:
@@ -46,23 +49,38 @@ def load_network(path: Path | None = None) -> LCMMVSNet:
     weights = path or SHIPPED
     record = describe(path)
     try:
-        content = weights.read_bytes()
-    except FileNotFoundError as error:
+        with open(weights, "rb") as file:
+            content = file.read(_MOST_BYTES + 1)
+    except OSError as error:
         raise WeightsError(f"The network's weights {weights} are missing.", remedy=_REMEDY, path=weights) from error
     if hashlib.sha256(content).hexdigest() != record["sha256"]:
         raise WeightsError(
             f"The network's weights {weights} are corrupted (their checksum is wrong).", remedy=_REMEDY, path=weights
         )
     try:
-        fields: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in record["config"].items()}
-        config = NetworkConfig(**fields)
+        config, tensors = _config(record["config"]), safetensors.torch.load(content)
+        with torch.device("meta"):  # takes no memory: whether they fit is known before any is asked for
+            LCMMVSNet(config).load_state_dict(tensors, strict=True, assign=True)
         network = LCMMVSNet(config)
-        network.load_state_dict(safetensors.torch.load(content), strict=True)
-    except (RuntimeError, TypeError, safetensors.SafetensorError) as error:
+        network.load_state_dict(tensors, strict=True)
+    except (RuntimeError, ValueError, TypeError, KeyError, safetensors.SafetensorError) as error:
         raise WeightsError(
             f"{weights} holds the weights of another network: {error}", remedy=_REMEDY, path=weights
         ) from error
+    if not all(bool(tensor.isfinite().all()) for tensor in network.state_dict().values()):
+        raise WeightsError(f"{weights} holds weights that are no numbers.", remedy=_REMEDY, path=weights)
     return network.eval()
+
+
+def _config(fields: Any) -> NetworkConfig:
+    """Raises ValueError, for sizes that no computer could hold, too."""
+    config: NetworkConfig = build(NetworkConfig, fields)
+    sizes = (*config.channels, *config.groups, *config.hypotheses, *config.interval_ratios, config.regulariser_channels)
+    if not all(0 < size <= _WIDEST for size in sizes) or not 0 <= config.context <= _WIDEST:
+        raise ValueError(f"its sizes are not within 1 and {_WIDEST}")
+    if config.hypothesis_step is not None and not 0.1 <= config.hypothesis_step <= 100:
+        raise ValueError("its hypothesis_step is not within 0.1 and 100")
+    return config
 
 
 def save_network(network: LCMMVSNet, path: Path, facts: dict[str, Any]) -> None:

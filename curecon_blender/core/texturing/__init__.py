@@ -11,8 +11,6 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,6 +23,7 @@ from ..errors import PhotoError, SurfaceError
 from ..files import atomic_write
 from ..mesh import Mesh, triangle_areas
 from ..messages import Reporter
+from ..reading import Expected, read_arrays
 from ..sampling import sample
 from ..types import Component
 from .baking import Bake, bake
@@ -228,13 +227,12 @@ def _picture(source: Source, reporter: Reporter) -> np.ndarray | None:
 def _behind_something(source: Source, seen: Seen) -> np.ndarray:
     """Whether each face seen (n,) lies behind what the photo's depth map has there: a branch or a passer-by that is
     no part of the mesh. All False where the workspace has no depth map that fits."""
+    expected = Expected((source.view.height, source.view.width), "f")
     try:
-        with np.load(source.depth_map) as file:
-            depth, confidence = file["depth"], file["confidence"].astype(np.float32)
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
+        maps = read_arrays(source.depth_map, {"depth": expected, "confidence": expected})
+    except (OSError, ValueError):
         return np.zeros(len(seen.face), bool)
-    if depth.shape != (source.view.height, source.view.width):
-        return np.zeros(len(seen.face), bool)
+    depth, confidence = maps["depth"], maps["confidence"].astype(np.float32)
     # Without speckles, then widened: the photo at a face's corner counts as much as at its middle.
     known = cv2.medianBlur(np.where(confidence >= _CONFIDENT, depth, 0).astype(np.float32), 5)
     reach = max(7, 2 * round(max(depth.shape) / 200) + 1)

@@ -11,7 +11,8 @@ import numpy as np
 import pycolmap
 
 from .. import images
-from ..errors import PhotoError
+from ..colmap_model import read_model
+from ..errors import PhotoError, SparseError
 from ..messages import Reporter
 from ..types import Component, View
 from ..undistortion import undistort, undistorted_camera
@@ -79,8 +80,8 @@ def find_sources(
 def _cameras(sparse: Path, reporter: Reporter) -> dict[str, pycolmap.Camera]:
     """The cameras of a COLMAP model by the names of their photos; none, with a warning, when it cannot be read."""
     try:
-        model = pycolmap.Reconstruction(str(sparse))
-    except (RuntimeError, ValueError, OSError):
+        model = read_model(sparse)
+    except SparseError:
         reporter.warning("The sparse model is missing: texture comes from the smaller pictures in the workspace.")
         return {}
     return {image.name: model.cameras[image.camera_id] for image in model.images.values()}
