@@ -40,6 +40,11 @@ class CURECON_AP_preferences(bpy.types.AddonPreferences):
         description="The Python that does the work: one with torch and pycolmap. Empty: Blender's own Python",
         subtype="FILE_PATH",
     )
+    scheduler: StringProperty(
+        name="Dask Scheduler",
+        description="Address of a Dask cluster whose workers make the depth maps, such as tcp://192.168.1.5:8786. They "
+        "run what they are sent: in a trusted network only. Empty: this computer makes them",
+    )
     cache: StringProperty(
         name="Cache Folder",
         description="Where workspaces are made. Empty: beside each photo folder",
@@ -55,6 +60,7 @@ class CURECON_AP_preferences(bpy.types.AddonPreferences):
         layout.prop(self, "device")
         layout.prop(self, "memory_gib", text="Memory Budget (GiB, 0 = Automatic)")
         layout.prop(self, "worker_python", placeholder="Blender's own Python")
+        layout.prop(self, "scheduler", placeholder="This computer alone")
         layout.prop(self, "cache", placeholder="Beside the photos")
         self_check.draw(layout, context)
 
@@ -66,6 +72,7 @@ class Settings:
     device: str = "auto"
     memory_gib: float | None = None
     worker_python: Path = Path(sys.executable)
+    scheduler: str = ""
     cache: Path | None = None
 
     @property
@@ -87,6 +94,7 @@ def settings(context: bpy.types.Context) -> Settings:
         device=preferences.device,
         memory_gib=preferences.memory_gib or None,
         worker_python=Path(bpy.path.abspath(preferences.worker_python or sys.executable)),
+        scheduler=preferences.scheduler.strip(),
         cache=Path(bpy.path.abspath(preferences.cache)) if preferences.cache else None,
     )
 

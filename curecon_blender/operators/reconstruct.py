@@ -40,6 +40,8 @@ def job_arguments(context: bpy.types.Context, *, until: str) -> list[str]:
         arguments += ["--views", str(properties.views)]
     if chosen.memory_gib is not None:
         arguments += ["--memory", str(chosen.memory_gib)]
+    if chosen.scheduler:
+        arguments += ["--scheduler", chosen.scheduler]
     arguments += ["--speeds", str(places.speeds_file()), "--until", until]
     return [*arguments, *surface_arguments(context.scene)] if until in SURFACE_STAGES else arguments
 

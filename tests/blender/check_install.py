@@ -30,9 +30,10 @@ try:
     assert len(bpy.data.pointclouds[0].points) == workspace_scene.POINTS
     preferences = bpy.context.preferences.addons[NAME].preferences
     preferences.worker_python, preferences.memory_gib = "//python", 2.0
+    preferences.scheduler = " tcp://192.168.1.5:8786"
     package = sys.modules[f"{NAME}.curecon_blender.preferences"]
     settings = package.settings(bpy.context)
-    assert settings.memory_gib == 2.0
+    assert settings.memory_gib == 2.0 and settings.scheduler == "tcp://192.168.1.5:8786"
     root = settings.import_paths[0]
     assert "user_default" in root.parts and (root / "curecon_blender" / "core").is_dir(), root
 finally:

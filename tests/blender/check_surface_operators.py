@@ -15,6 +15,7 @@ import surface_scene
 import workspace_scene
 
 import curecon_blender
+from curecon_blender import preferences
 from curecon_blender.core import worker
 from curecon_blender.operators.build_surface import surface_arguments
 from curecon_blender.operators.reconstruct import job_arguments
@@ -74,6 +75,9 @@ try:
     understand = worker._parser().parse_args
     for goal, *_ in GOALS:
         assert understand(job_arguments(bpy.context, until=goal)).until == goal
+    assert understand(job_arguments(bpy.context, until="fusion")).scheduler == ""
+    preferences.Settings.__init__.__kwdefaults__["scheduler"] = "tcp://192.168.1.5:8786"
+    assert understand(job_arguments(bpy.context, until="fusion")).scheduler == "tcp://192.168.1.5:8786"
     properties.fill_holes, properties.max_faces = False, 5000
     properties.texture_size, properties.texture_format = "8192", "jpeg"
     told = understand(["surface", str(folder), "--until", "mesh", *surface_arguments(bpy.context.scene)])
