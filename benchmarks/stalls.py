@@ -7,7 +7,8 @@
 Needs a window; WORKSPACE is a finished job's, with a cloud and at best a surface. A beat of ten milliseconds runs
 inside Blender; what is missing between two beats is a stall. Beside its wall time stands the processor time that the
 main thread spent in it, which does not grow where other programs use the processor too. Stalls count Blender's own
-drawing. `--preview` moves the sliders in Material Preview too, whose shaders take a minute to compile without a
+drawing, which without a graphics card is most of them; the longest call of the add-on's own code stands beside them.
+`--preview` moves the sliders in Material Preview too, whose shaders take a minute to compile without a
 graphics card.
 """
 
@@ -34,10 +35,11 @@ Wait = Iterator[float]
 
 
 class Heart:
-    """Beats for as long as Blender answers. `stalls` are (wall, main thread's processor) seconds of this phase."""
+    """Beats for as long as Blender answers. `stalls` are (wall, main thread's processor) seconds of this phase, and
+    `calls` those of the add-on's own code in it."""
 
     def __init__(self) -> None:
-        self.phase, self.began, self.stalls = "", 0.0, [(0.0, 0.0)]
+        self.phase, self.began, self.stalls, self.calls = "", 0.0, [(0.0, 0.0)], [(0.0, 0.0)]
         self.last = time.monotonic(), time.thread_time()
 
     def beat(self) -> float:
@@ -48,7 +50,7 @@ class Heart:
 
     def begin(self, phase: str) -> None:
         self.end()
-        self.phase, self.began, self.stalls = phase, time.monotonic(), [(0.0, 0.0)]
+        self.phase, self.began, self.stalls, self.calls = phase, time.monotonic(), [(0.0, 0.0)], [(0.0, 0.0)]
         self.last = time.monotonic(), time.thread_time()
 
     def end(self) -> None:
@@ -56,10 +58,24 @@ class Heart:
             return
         self.beat()
         wall, cpu = max(self.stalls)
-        busiest = max(cpu for _, cpu in self.stalls)
         over = sum(stall > LONG for stall, _ in self.stalls)
+        ours, ours_cpu = (1000 * max(column) for column in zip(*self.calls, strict=True))
         print(f"STALLS {self.phase:44s} {time.monotonic() - self.began:6.1f} s | longest {1000 * wall:6.0f} ms, "
-              f"{1000 * cpu:5.0f} of them working; busiest {1000 * busiest:5.0f}; {over:3d} over 0.1 s", flush=True)
+              f"{1000 * cpu:5.0f} of them working; {over:3d} over 0.1 s | our own {ours:5.0f}, {ours_cpu:5.0f} working",
+              flush=True)
+
+    def listen(self, holder: object, name: str) -> None:
+        """Time every call of a function of the add-on."""
+        function = getattr(holder, name)
+
+        def timed(*arguments: object, **options: object) -> object:
+            began = time.monotonic(), time.thread_time()
+            try:
+                return function(*arguments, **options)
+            finally:
+                self.calls.append((time.monotonic() - began[0], time.thread_time() - began[1]))
+
+        setattr(holder, name, timed)
 
 
 def area() -> bpy.types.Area:
@@ -79,6 +95,13 @@ def job_ends() -> Wait:
         yield 0.05
     if running.status.failure is not None:
         raise RuntimeError(running.status.failure.message)
+
+
+def draw() -> Wait:
+    """Nothing but Blender drawing the view anew."""
+    for _ in range(10):
+        area().tag_redraw()
+        yield 0.05
 
 
 def slide(group: object, name: str, low: float, high: float, steps: int = 12) -> Wait:
@@ -109,13 +132,16 @@ def story(heart: Heart, options: argparse.Namespace) -> Wait:
             bpy.ops.curecon.check_photos("INVOKE_DEFAULT")
         yield from job_ends()
         yield 2.0
+    heart.begin("drawing the empty scene")
+    yield from draw()
     for name in ("import", "import again, in place of the first"):
         heart.begin(name)
         with override():
             bpy.ops.curecon.import_workspace("INVOKE_DEFAULT", directory=str(options.workspace))
         yield from job_ends()
         heart.begin("  and its first drawings")
-        yield 3.0
+        heart.begin("drawing the surface")
+    yield from draw()
     heart.begin("undo")
     with override():
         bpy.ops.ed.undo()
@@ -128,6 +154,8 @@ def story(heart: Heart, options: argparse.Namespace) -> Wait:
     heart.begin("the cloud in place of the surface")
     properties.show_surface, properties.show_cloud = False, True
     yield 4.0
+    heart.begin("drawing the cloud")
+    yield from draw()
     sliders = ((properties, "point_size", 0.5, 3.0), (properties, "display_fraction", 100, 20),
                (properties.cloud, "min_confidence", 0.0, 0.8), (properties.cloud, "min_views", 0, 6))
     for group, name, low, high in sliders:
@@ -171,7 +199,13 @@ def main() -> None:
     addon = bpy.context.preferences.addons.new()  # what enabling it would do, so that it has preferences
     addon.module = curecon_blender.ADDON
     addon.preferences.worker_python = options.worker_python
+    from curecon_blender.operators import running
+    from curecon_blender.scene import display, viewport
+
     heart = Heart()
+    for holder, name in ((running.StepsOperator, "_go_on"), (viewport, "_draw"), (viewport._Upload, "go_on"),
+                         (display, "apply"), (display, "measure_range")):
+        heart.listen(holder, name)
     steps = story(heart, options)
 
     def go_on() -> float | None:

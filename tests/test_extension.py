@@ -76,6 +76,12 @@ def test_an_imported_workspace_is_right_and_survives_saving(blender: Path, tmp_p
     run_script(blender, "check_import.py", work, resources=tmp_path / "user")
 
 
+def test_a_stopped_import_leaves_nothing_and_an_undo_in_its_midst_ends_well(blender: Path, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    work.mkdir()
+    run_script(blender, "check_steps.py", work, resources=tmp_path / "user")
+
+
 def test_bad_input_is_an_error_in_words(blender: Path, tmp_path: Path) -> None:
     work = tmp_path / "work"
     work.mkdir()

@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from pathlib import Path
 
 import bpy
@@ -38,17 +39,15 @@ def bring_in(
     while not reading.done():
         yield None
     content = reading.result()
-    built, turns = None, -1
-    while turns != history.turns:  # an undo takes away what has been built
-        turns, building = history.turns, workspace.build(content, pack=pack)
-        try:
-            while turns == history.turns:
-                yield next(building)
-        except StopIteration as end:
-            built = end.value
-    scene = running.scene_with(session_uid)
-    imported = workspace.place(scene, content, built)
-    return _show(context, scene, folder, imported, photos=photos, frame=frame)
+    while True:
+        turns = history.turns
+        with closing(workspace.build(content, lambda: running.scene_with(session_uid), pack=pack)) as building:
+            try:
+                while turns == history.turns:  # an undo takes away what has been built
+                    yield next(building)
+            except StopIteration as end:
+                return _show(
+                    context, running.scene_with(session_uid), folder, end.value, photos=photos, frame=frame)
 
 
 def _show(

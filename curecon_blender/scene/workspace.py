@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from ..core.cloud_edits import is_stale, read_removed
 from ..core.mesh import Mesh, filled_share, mesh_file, read_mesh, textured_folder
 from ..core.ply import read_cloud
 from ..core.types import Component, Frame
+from ..core.workspace import refuse_links
 from . import cameras, cloud_edits, display, frame, points, surface
 
 WORKSPACE_KEY = "curecon_workspace"  # on the collection: the workspace it was imported from
@@ -78,6 +79,7 @@ class Content:
 def read(folder: Path) -> Content:
     """Read a workspace. No bpy: it may run on any thread. Raises WorkspaceError."""
     folder = folder.resolve()
+    refuse_links(folder)
     parts, meshes = [], []
     for component in components.read(folder):
         file = folder / component.cloud
@@ -98,62 +100,36 @@ def read(folder: Path) -> Content:
     )
 
 
-def build(content: Content, *, pack: bool = False) -> Generator[str, None, bpy.types.Collection]:
-    """Make the workspace's collection outside of every scene, a few milliseconds of work a step; each step says what
-    is being made. Returns the collection, for `place`; stopped or failed, it leaves nothing behind.
+def build(
+    content: Content, find_scene: Callable[[], bpy.types.Scene], *, pack: bool = False
+) -> Generator[str, None, Imported]:
+    """Make the workspace's collection, a few milliseconds of work a step; each step says what is being made.
 
-    A component comes with what has been made of it: a textured surface goes before a plain one, and where there is a
-    surface its cloud is hidden. `pack` puts the textures into the .blend.
+    The last one puts it into the scene, in place of what an earlier import of the workspace brought; until then it
+    belongs to none, and stopped or failed the import leaves nothing behind. A component comes with what has been made
+    of it: a textured surface goes before a plain one, and where there is a surface its cloud is hidden. `pack` puts the
+    textures into the .blend. The render size, pixel aspect and active camera follow the first photo. `find_scene` is
+    asked in the last step, since Python holds no scene over an undo; what it raises goes through.
     """
     try:
         top = bpy.data.collections.new(_name(content))
         top[WORKSPACE_KEY], top[UNPLACED_KEY] = str(content.folder), True
         for part in content.parts:
             yield from _build_part(part, content, top, pack)
-    except BaseException:  # what was closed is to leave nothing behind, too
+        return _place(find_scene(), content, top)
+    except BaseException:  # being closed among them
         sweep()
         raise
-    return top
-
-
-def place(scene: bpy.types.Scene, content: Content, top: bpy.types.Collection) -> Imported:
-    """Put what `build` made into the scene, in place of what an earlier import of the workspace brought. The render
-    size, pixel aspect and active camera follow the first photo."""
-    for collection in list(scene.collection.children):
-        if collection.get(WORKSPACE_KEY) == str(content.folder):
-            _remove(scene, collection)
-    del top[UNPLACED_KEY]
-    top.name = _name(content)
-    _drop_numbers(top)
-    scene.collection.children.link(top)
-    clouds = tuple(item for item in top.all_objects if item.type == "POINTCLOUD")
-    photo_cameras = tuple(item for item in top.all_objects if item.type == "CAMERA")
-    if photo_cameras:
-        scene.camera = photo_cameras[0]
-        cameras.fit_render(scene, photo_cameras[0])
-    placed = [part for part in frame.parts_of(scene) if part.collection in {top, *top.children}]
-    if placed:
-        frame.show(scene, placed[0].frame)
-    display.apply(scene, list(clouds))
-    return Imported(
-        collection=top, clouds=clouds, cameras=photo_cameras,
-        surfaces=tuple(item for item in top.all_objects if surface.is_surface(item)), filled=content.filled,
-        frame=placed[0].frame if placed else Frame(scale="unknown", up="given"),
-        scale_source=placed[0].scale_source if placed else "", parts=len(content.parts),
-        missing_pictures=sum(not item.data.background_images for item in photo_cameras),
-        stale_edits=content.stale_edits,
-    )
 
 
 def import_workspace(scene: bpy.types.Scene, folder: Path, *, pack: bool = False) -> Imported:
-    """Read, build and place at once. Everything is read before anything is made. Raises WorkspaceError."""
-    content = read(folder)
-    steps = build(content, pack=pack)
+    """Read a workspace and build it in the scene at once. Raises WorkspaceError."""
+    steps = build(read(folder), lambda: scene, pack=pack)
     while True:
         try:
             next(steps)
         except StopIteration as end:
-            return place(scene, content, end.value)
+            return end.value
 
 
 def sweep() -> None:
@@ -212,6 +188,33 @@ def _build_part(
     if part.surface is not None:
         yield from surface.build(part.surface, f"Surface{number}", collection, pack=pack)
     frame.set_up(collection, component, folder, part.adjustment)
+
+
+def _place(scene: bpy.types.Scene, content: Content, top: bpy.types.Collection) -> Imported:
+    for collection in list(scene.collection.children):
+        if collection.get(WORKSPACE_KEY) == str(content.folder):
+            _remove(scene, collection)
+    del top[UNPLACED_KEY]
+    top.name = _name(content)
+    _drop_numbers(top)
+    scene.collection.children.link(top)
+    clouds = tuple(item for item in top.all_objects if item.type == "POINTCLOUD")
+    photo_cameras = tuple(item for item in top.all_objects if item.type == "CAMERA")
+    if photo_cameras:
+        scene.camera = photo_cameras[0]
+        cameras.fit_render(scene, photo_cameras[0])
+    placed = [part for part in frame.parts_of(scene) if part.collection in {top, *top.children}]
+    if placed:
+        frame.show(scene, placed[0].frame)
+    display.apply(scene, list(clouds))
+    return Imported(
+        collection=top, clouds=clouds, cameras=photo_cameras,
+        surfaces=tuple(item for item in top.all_objects if surface.is_surface(item)), filled=content.filled,
+        frame=placed[0].frame if placed else Frame(scale="unknown", up="given"),
+        scale_source=placed[0].scale_source if placed else "", parts=len(content.parts),
+        missing_pictures=sum(not item.data.background_images for item in photo_cameras),
+        stale_edits=content.stale_edits,
+    )
 
 
 def _drop_numbers(top: bpy.types.Collection) -> None:
