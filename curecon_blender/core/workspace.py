@@ -7,17 +7,22 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import shutil
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any
+from typing import IO, Annotated, Any
 
 from .errors import WorkspaceError
 from .files import disk_errors, write_json
+from .reading import FARTHEST, Within, build, read_json
 
 FORMAT = 1
+# What a job writes, beside which the photos may lie.
+_OWN_FOLDERS = re.compile(r"sparse|undistorted|depth|stages|textured(_\d+)?|\..*")
+_OWN_FILES = re.compile(r"\.(json|ply|npz|lock|log|partial)$")
 
 
 def key_of(value: Any) -> str:
@@ -31,8 +36,8 @@ class StageRecord:
     """A stage's done-marker: the key it was done for, and what it took."""
 
     key: str
-    seconds: float
-    peak_gib: float
+    seconds: Annotated[float, Within(0, FARTHEST)]
+    peak_gib: Annotated[float, Within(0, FARTHEST)]
 
 
 class Workspace:
@@ -54,6 +59,7 @@ class Workspace:
                     f"The workspace {self.root} cannot be a folder: a file is in the way.",
                     remedy="Choose another workspace folder.", path=self.root,
                 ) from error
+            refuse_links(self.root)
             self._lock = open(self.root / "workspace.lock", "a+b")
         _lock(self._lock, self.root)
         try:
@@ -75,8 +81,9 @@ class Workspace:
         """The stage's done-marker, if it has one."""
         path = self._marker(stage)
         try:
-            return StageRecord(**json.loads(path.read_text(encoding="utf-8")))
-        except (FileNotFoundError, json.JSONDecodeError, TypeError):
+            record: StageRecord = build(StageRecord, read_json(path))
+            return record
+        except (OSError, ValueError):
             return None  # never finished, or cut off while the marker was written: the stage runs again
 
     def is_done(self, stage: str, key: str) -> bool:
@@ -104,12 +111,33 @@ class Workspace:
         return self.root / "stages" / f"{stage}.json"
 
 
+def refuse_links(root: Path) -> None:
+    """A workspace from a stranger may hold links by which what is written into it would land elsewhere. Raises
+    WorkspaceError for one that leads out of the workspace; of what else lies beside its files, such as the photos,
+    nothing is written."""
+    real = os.path.realpath(root)
+    for folder, folders, files in os.walk(root):
+        if Path(folder) == root:
+            folders[:] = [name for name in folders if _OWN_FOLDERS.fullmatch(name)]
+            files = [name for name in files if _OWN_FILES.search(name)]
+        # A junction of Windows is a folder that only its real path gives away.
+        links = [name for name in files if os.path.islink(os.path.join(folder, name))]
+        for path in (Path(folder, name) for name in [*folders, *links]):
+            if not Path(os.path.realpath(path)).is_relative_to(real):
+                raise WorkspaceError(
+                    f"{path} is a link that leads out of the workspace: files would be changed elsewhere.",
+                    remedy="Remove that link if somebody gave you this workspace, or put the folder itself there.",
+                    path=path,
+                )
+
+
 def _check_format(marker: Path) -> None:
     try:
-        found = json.loads(marker.read_text(encoding="utf-8"))["format"]
-    except (json.JSONDecodeError, KeyError, TypeError, UnicodeDecodeError) as error:
+        found = build(int, build(dict, read_json(marker)).get("format"), "format")
+    except (OSError, ValueError) as error:
         raise WorkspaceError(
-            f"{marker} is damaged.", remedy="Choose a new workspace folder; your photos are untouched.", path=marker
+            f"{marker} is damaged ({error}).", path=marker,
+            remedy="Choose a new workspace folder; your photos are untouched.",
         ) from error
     if found > FORMAT:
         raise WorkspaceError(

@@ -71,6 +71,9 @@ def open_stage(scene: bpy.types.Scene) -> bpy.types.Scene:
     stage.eevee.taa_render_samples = preset.samples
     render.use_persistent_data = True  # a film's frames share the geometry
     render.use_compositing = render.use_sequencer = render.use_border = render.use_stamp = False
+    for setting in render.bl_rna.properties:  # else a picture tells the .blend's path, and so often who made it
+        if setting.identifier.startswith("use_stamp_"):
+            setattr(render, setting.identifier, False)
     render.resolution_percentage, render.pixel_aspect_x, render.pixel_aspect_y = 100, 1, 1
     # As they are on the photos: other view transforms would change them.
     view.view_transform, view.look, view.exposure, view.gamma = "Standard", "None", 0, 1
