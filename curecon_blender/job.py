@@ -33,7 +33,10 @@ from .core.messages import (
 LOG_NAME = "worker.log"
 CANCEL_GRACE = 15.0  # seconds a worker has to stop by itself: one tile or one pycolmap call
 LAST_WARNINGS = 5
+KILLED = -getattr(signal, "SIGKILL", 9)
+HALF_MEMORY = "--half-memory"
 MISSING_MODULE = re.compile(r"ModuleNotFoundError: No module named '([\w.]+)'")
+DISK_FULL = re.compile(r"disk is full|No space left on device")  # COLMAP's database ends the process then
 
 
 class WorkerError(CuReconError):
@@ -124,28 +127,34 @@ class Job:
         self.cancelled = False
         self._grace = grace
         self._messages: queue.SimpleQueue[Message] = queue.SimpleQueue()
+        self._arguments, self._python, self._import_paths = [*arguments], str(python), [*import_paths]
+        self._stage = ""  # that the worker is at
+        self._starting = threading.Lock()  # a worker must not be started anew while it is cancelled
+        self._process = self._start()
+        self._reader = threading.Thread(target=self._read, name="curecon-worker-reader", daemon=True)
+        self._reader.start()
+
+    def _start(self) -> subprocess.Popen[bytes]:
         # Blender's own PYTHONHOME would lead another Python to the wrong standard library.
         environment = {name: value for name, value in os.environ.items() if name != "PYTHONHOME"}
         environment |= {
-            "PYTHONPATH": os.pathsep.join(str(path) for path in import_paths),
+            "PYTHONPATH": os.pathsep.join(str(path) for path in self._import_paths),
             "PYTHONUTF8": "1", "PYTHONUNBUFFERED": "1", "PYTHONDONTWRITEBYTECODE": "1",
         }
-        command = [str(python), "-m", "curecon_blender.core", "--messages", *arguments]
-        with open(log, "ab") as errors:
+        command = [self._python, "-m", "curecon_blender.core", "--messages", *self._arguments]
+        with open(self.log, "ab") as errors:
             self._log_start = errors.tell()
             try:
-                self._process = subprocess.Popen(
+                return subprocess.Popen(
                     command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, env=environment,
-                    cwd=import_paths[0], creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
+                    cwd=self._import_paths[0], creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
                 )
             except OSError as error:
                 raise WorkerError(
-                    f"The worker could not be started with {python}: {error.strerror}.",
+                    f"The worker could not be started with {self._python}: {error.strerror}.",
                     remedy="Set Worker Python in the add-on's preferences to a Python 3.11 or newer that has torch "
-                           "and pycolmap.", path=str(python),
+                           "and pycolmap.", path=self._python,
                 ) from error
-        self._reader = threading.Thread(target=self._read, name="curecon-worker-reader", daemon=True)
-        self._reader.start()
 
     @property
     def pid(self) -> int:
@@ -171,15 +180,17 @@ class Job:
 
     def cancel(self) -> None:
         """Ask the worker to stop; end it when it has not done so after the grace time. Returns at once."""
-        if self.cancelled:
-            return
-        self.cancelled = True
+        with self._starting:
+            if self.cancelled:
+                return
+            self.cancelled = True
         self._tell(b"cancel\n")
         threading.Thread(target=self._end, args=(self._grace,), name="curecon-worker-end", daemon=True).start()
 
     def close(self) -> None:
         """End the worker now, for when Blender quits: finished work is on disk and a later run resumes."""
-        self.cancelled = True
+        with self._starting:
+            self.cancelled = True
         with contextlib.suppress(OSError):  # the worker has gone already: that is what is wanted
             if self._process.stdin is not None:
                 self._process.stdin.close()
@@ -202,6 +213,27 @@ class Job:
                 continue
 
     def _read(self) -> None:
+        code = self._listen()
+        if code == KILLED and self._stage == "depth" and self._start_with_half_the_memory():
+            code = self._listen()
+        if code is not None:
+            self._messages.put(failure(Cancelled()) if self.cancelled else self._death(code))
+
+    def _start_with_half_the_memory(self) -> bool:
+        """Start a job's worker again after the system has killed it, unless it was that already or was cancelled."""
+        with self._starting:
+            if self.cancelled or self._arguments[:1] != ["reconstruct"] or HALF_MEMORY in self._arguments:
+                return False
+            self._arguments.append(HALF_MEMORY)
+            self._process = self._start()
+        self._messages.put(Warning(
+            text="The worker was killed by the system, most often because the computer ran out of memory: it goes on "
+                 "with half the memory budget."
+        ))
+        return True
+
+    def _listen(self) -> int | None:
+        """Take in what the worker says until it has ended; its exit code if it ended without a Result or a Failure."""
         final: Message | None = None
         assert self._process.stdout is not None
         with self._process.stdout as stdout:
@@ -215,10 +247,11 @@ class Job:
                     message = Log(text=line)  # a native library's own printing
                 if isinstance(message, Result | Failure):
                     final = message
+                elif isinstance(message, StageStarted):
+                    self._stage = message.stage
                 self._messages.put(message)
         code = self._process.wait()
-        if final is None:
-            self._messages.put(failure(Cancelled()) if self.cancelled else self._death(code))
+        return code if final is None else None
 
     def _death(self, code: int) -> Failure:
         """Words for a worker that ended without a Result or a Failure."""
@@ -230,7 +263,11 @@ class Job:
                 f"The worker's Python has no module {missing[1]}.",
                 remedy="Set Worker Python in the add-on's preferences to a Python that has torch and pycolmap.",
             )
-        elif code == -getattr(signal, "SIGKILL", 9):
+        elif DISK_FULL.search(said):
+            error = WorkerError(
+                "The disk is full.", remedy="Free some space, then run it again: finished work is kept."
+            )
+        elif code == KILLED:
             error = WorkerError(
                 "The worker was killed by the system, most often because the computer ran out of memory.",
                 remedy="Run it again: it goes on from the last finished photo. If it happens again, set a smaller "

@@ -162,7 +162,7 @@ def test_a_disk_that_fills_up_while_the_surface_is_made(finished: tuple[Path, Ru
 
     refused(with_room_for(300_000), 5, "full")
     assert not (workspace / "mesh.ply").exists() and (workspace / "cloud.ply").exists()
-    assert not (workspace / ".mesh").exists()  # what the stage worked with is gone
+    assert not (workspace / ".mesh.partial").exists()  # what the stage worked with is gone
     assert curecon("surface", workspace, *small, "--until", "mesh").code == 0
     mesh = (workspace / "mesh.ply").read_bytes()
     refused(with_room_for(300_000), 5, "full")

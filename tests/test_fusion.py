@@ -277,7 +277,7 @@ def test_damaged_files_are_named_with_a_remedy(tmp_path: Path, damage: str) -> N
         run(component, tmp_path)
     error: CuReconError = caught.value
     assert view.name in error.message and error.path == str(path) and error.remedy
-    assert not (tmp_path / "cloud.ply").exists() and not (tmp_path / ".fusion").exists()
+    assert not (tmp_path / "cloud.ply").exists() and not (tmp_path / ".fusion.partial").exists()
 
 
 def png_of_one_pixel() -> bytes:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from curecon_blender.core.messages import Failure, Log, Message, Progress, Result, StageStarted
+from curecon_blender.core.messages import Failure, Log, Message, Progress, Result, StageStarted, Warning
 from curecon_blender.job import Job, Status, WorkerError, duration
 
 StartWorker = Callable[..., Job]
@@ -92,17 +92,53 @@ def test_garbage_on_stdout_becomes_a_log_line(start_worker: StartWorker) -> None
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="SIGKILL is there on POSIX systems only")
-def test_a_killed_worker_is_a_failure_that_says_how_to_go_on(start_worker: StartWorker) -> None:
+def test_a_killed_worker_goes_on_once_with_half_the_memory_and_then_says_what_to_do(start_worker: StartWorker) -> None:
     job = start_worker("""
         say("stage", stage="depth", index=0, count=1)
+        say("log", text=" ".join(sys.argv[1:]))
         time.sleep(60)
     """)
-    wait_for(job, StageStarted)
+    assert "--half-memory" not in str(wait_for(job, Log))
+    os.kill(job.pid, signal.SIGKILL)
+    seen = wait_for(job, Log)
+    assert isinstance(seen[0], Warning) and "half the memory" in seen[0].text
+    assert "--half-memory" in str(seen[-1])
     os.kill(job.pid, signal.SIGKILL)
     (failure,) = finish(job)
     assert isinstance(failure, Failure)
     assert "killed" in failure.message and "memory" in failure.message
     assert "goes on from the last finished photo" in failure.remedy
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="SIGKILL is there on POSIX systems only")
+@pytest.mark.parametrize("cancelled", [False, True])
+def test_a_worker_killed_in_another_stage_or_after_a_cancel_is_not_started_again(
+    start_worker: StartWorker, cancelled: bool
+) -> None:
+    job = start_worker(f"""
+        say("stage", stage="{"depth" if cancelled else "fusion"}", index=0, count=1)
+        time.sleep(60)
+    """)
+    wait_for(job, StageStarted)
+    if cancelled:
+        job.cancel()
+    os.kill(job.pid, signal.SIGKILL)
+    (failure,) = finish(job)
+    assert isinstance(failure, Failure) and failure.kind == ("cancelled" if cancelled else "worker")
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="SIGSTOP is there on POSIX systems only")
+@pytest.mark.parametrize("end", [Job.cancel, Job.close])
+def test_a_worker_that_stands_still_can_be_ended(start_worker: StartWorker, end: Callable[[Job], None]) -> None:
+    job = start_worker("""
+        say("log", text="ready")
+        sys.stdin.read()
+    """, grace=0.2)
+    wait_for(job, Log)
+    os.kill(job.pid, signal.SIGSTOP)
+    end(job)
+    (failure,) = finish(job)
+    assert isinstance(failure, Failure) and failure.kind == "cancelled"
 
 
 def test_a_worker_that_dies_tells_its_last_words_and_where_the_log_is(start_worker: StartWorker) -> None:

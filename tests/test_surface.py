@@ -90,7 +90,7 @@ def test_cancelled_while_it_meshes_it_stops_at_once_and_leaves_nothing(
     worker.send_signal(signal.SIGINT)
     assert worker.wait(timeout=20) == 130
     assert not children[0].is_running()
-    assert not (workspace / ".mesh").exists() and not (workspace / "mesh.ply").exists()
+    assert not (workspace / ".mesh.partial").exists() and not (workspace / "mesh.ply").exists()
     assert (workspace / "cloud.ply").exists()
 
 

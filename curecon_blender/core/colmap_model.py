@@ -15,7 +15,7 @@ import pycolmap
 
 from .colmap_files import check_binary
 from .errors import SparseError, WorkspaceError
-from .files import disk_errors
+from .files import disk_errors, partial_path
 from .georeference import FRAME_FILE, read_frame, write_frame
 from .images import MAX_PIXELS
 from .messages import Reporter
@@ -221,9 +221,9 @@ def write_components(workspace: Path, components: list[tuple[pycolmap.Reconstruc
     """Put the components in place of the workspace's `sparse/0`, `sparse/1`..., each folder all or nothing."""
     sparse = workspace / "sparse"
     with disk_errors(sparse):
-        sparse.mkdir(parents=True, exist_ok=True)
+        sparse.mkdir(exist_ok=True)
         for index, (model, frame) in enumerate(components):
-            partial = sparse / f".{index}.partial"
+            partial = partial_path(sparse / str(index))
             shutil.rmtree(partial, ignore_errors=True)
             partial.mkdir()
             model.write_binary(partial)
@@ -233,7 +233,7 @@ def write_components(workspace: Path, components: list[tuple[pycolmap.Reconstruc
             if old.name.isdigit():
                 shutil.rmtree(old)
         for index in range(len(components)):
-            os.replace(sparse / f".{index}.partial", sparse / str(index))
+            os.replace(partial_path(sparse / str(index)), sparse / str(index))
 
 
 def _check_written(model: pycolmap.Reconstruction, folder: Path) -> None:

@@ -69,12 +69,13 @@ def choose_precision(name: str, device: torch.device) -> torch.dtype:
 
 
 def memory_budget(options: Options, device: torch.device) -> int:
-    """Bytes that the depth stage may use: the option, or 60 % of what the device has free."""
+    """Bytes that the depth stage may use: the option, or 60 % of what the device has free; or half of that."""
+    share = 0.5 if options.half_memory else 1.0
     if options.memory_gib is not None:
-        return int(options.memory_gib * 2**30)
+        return int(share * options.memory_gib * 2**30)
     if device.type == "cuda":
-        return int(0.6 * torch.cuda.mem_get_info(device)[0])
-    return int(0.6 * psutil.virtual_memory().available)
+        return int(share * 0.6 * torch.cuda.mem_get_info(device)[0])
+    return int(share * 0.6 * psutil.virtual_memory().available)
 
 
 def bytes_per_pixel(hypotheses: int) -> int:

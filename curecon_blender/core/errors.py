@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +63,20 @@ class DeviceError(CuReconError):
     kind = "device"
 
 
+class OutOfMemory(CuReconError):
+    """A stage needed more memory than the computer, or its graphics card, could give."""
+
+    exit_code = 11
+    kind = "memory"
+
+    def __init__(self) -> None:
+        super().__init__(
+            "The computer ran out of memory.",
+            remedy="Close other programs, set a smaller memory budget in the preferences (--memory), or choose a lower "
+            "quality. Then run it again: it goes on from the last finished photo.",
+        )
+
+
 class SetupError(CuReconError):
     """The Python that should do the work lacks a library."""
 
@@ -74,6 +89,18 @@ class SurfaceError(CuReconError):
 
     exit_code = 10
     kind = "surface"
+
+
+_NO_MEMORY = re.compile(
+    r"out of memory|allocate memory|failed to allocate|insufficient memory|not enough memory|bad_alloc", re.IGNORECASE
+)
+
+
+def ran_out_of_memory(error: Exception) -> bool:
+    """Whether this is one of the many ways in which libraries say that memory could not be had."""
+    return isinstance(error, MemoryError) or (
+        not isinstance(error, CuReconError) and _NO_MEMORY.search(str(error)) is not None
+    )
 
 
 class Cancelled(CuReconError):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Writing files so that a crash or a full disk never leaves half of one behind."""
+"""Writing files so that a crash or a full disk never leaves half of one behind, and what a killed process left goes."""
 
 from __future__ import annotations
 
@@ -15,13 +15,29 @@ from typing import Any, BinaryIO
 
 from .errors import WorkspaceError
 
+# What an operating system says of a drive that was unplugged, lost its network, or breaks.
+_GONE = tuple(getattr(errno, name) for name in (
+    "EIO", "ESTALE", "ENODEV", "ENXIO", "ENOTCONN", "ETIMEDOUT", "EHOSTDOWN", "EHOSTUNREACH", "EREMOTEIO",
+) if hasattr(errno, name))
+
 
 @contextmanager
 def disk_errors(path: Path) -> Iterator[None]:
-    """Turn the operating system's word on a full or read-only disk into an error with a remedy."""
+    """Turn the operating system's word on a full, read-only or vanished disk into an error with a remedy."""
     try:
         yield
     except OSError as error:
+        if error.errno in _GONE or (isinstance(error, FileNotFoundError) and not path.parent.exists()):
+            raise WorkspaceError(
+                f"{path} could not be written: its folder is gone, or its drive does not answer ({error.strerror}).",
+                remedy="Connect the drive again or put the folder back, then run it again: finished work is kept.",
+                path=path,
+            ) from error
+        if error.errno == errno.EFBIG:
+            raise WorkspaceError(
+                f"{path} would be larger than its drive allows for one file.",
+                remedy="Choose a workspace on another drive; memory cards and sticks often allow 4 GB.", path=path,
+            ) from error
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             raise WorkspaceError(
                 f"The disk is full: {path} could not be written.",
@@ -35,12 +51,27 @@ def disk_errors(path: Path) -> Iterator[None]:
         raise
 
 
+def partial_path(path: Path) -> Path:
+    """What a file or folder is called until it is finished."""
+    return path.with_name(f".{path.name}.partial")
+
+
+def remove_partials(folder: Path) -> None:
+    """Remove what a killed process left unfinished in a folder and below."""
+    for partial in [*folder.rglob(".*.partial")]:
+        if partial.is_dir():
+            shutil.rmtree(partial, ignore_errors=True)
+        else:
+            partial.unlink(missing_ok=True)
+
+
 @contextmanager
 def atomic_write(path: Path) -> Iterator[BinaryIO]:
-    """Open a file that takes `path`'s place only when the block ends well. Raises WorkspaceError (full, read-only)."""
-    partial = path.with_name(f".{path.name}.partial")
+    """Open a file that takes `path`'s place only when the block ends well. Its folder is made where it is missing, but
+    not the one above: a workspace that was removed meanwhile must not come back. Raises WorkspaceError."""
+    partial = partial_path(path)
     with disk_errors(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
+        path.parent.mkdir(exist_ok=True)
         try:
             with open(partial, "wb") as file:
                 yield file
@@ -52,11 +83,12 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
 
 
 @contextmanager
-def scratch_folder(folder: Path) -> Iterator[Path]:
-    """A scratch folder that is empty at the start, whatever a killed run left there, and gone in the end."""
+def scratch_folder(place: Path) -> Iterator[Path]:
+    """A folder beside `place`, named as unfinished, that is empty at the start and gone in the end."""
+    folder = partial_path(place)
     shutil.rmtree(folder, ignore_errors=True)
     with disk_errors(folder):
-        folder.mkdir(parents=True)
+        folder.mkdir()
     try:
         yield folder
     finally:

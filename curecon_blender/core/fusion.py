@@ -84,7 +84,7 @@ def fuse(
     order = _finest_first(component.views, workspace, reporter)
     neighbours = _neighbours(component.views)
     depth_maps = _Cache(workspace, cache_bytes, z_up=component.frame.up != "given")
-    with scratch_folder(workspace / ".fusion") as folder, CloudWriter(workspace / component.cloud) as writer:
+    with scratch_folder(workspace / "fusion") as folder, CloudWriter(workspace / component.cloud) as writer:
         fused: dict[str, tuple[View, Path]] = {}  # views done, with the file of what they accepted
         for done, view in enumerate(order):
             reporter.progress(done, len(order))

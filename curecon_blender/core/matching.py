@@ -25,10 +25,10 @@ import numpy as np
 import pycolmap
 import torch
 
-from .errors import PhotoError, WorkspaceError
+from .errors import WorkspaceError
 from .files import disk_errors, write_json
 from .georeference import SHORTEST_BASELINE, gimbal_rotation, gps_enu
-from .images import read_rgb, shown
+from .images import read_rgb
 from .reading import build, read_json
 from .types import Photo
 
@@ -74,7 +74,7 @@ def open_database(path: Path, photos: tuple[Photo, ...], settings: FeatureSettin
     same_settings = all(known.get(key) == wanted[key] for key in ("image_size", "max_features"))
     unchanged = all(known.get("photos", {}).get(name, print_) == print_ for name, print_ in wanted["photos"].items())
     with disk_errors(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
+        path.parent.mkdir(exist_ok=True)
         if not (same_settings and unchanged and _intact(path)):
             for suffix in ("", "-wal", "-shm", "-journal"):
                 path.with_name(path.name + suffix).unlink(missing_ok=True)
@@ -94,14 +94,7 @@ def open_database(path: Path, photos: tuple[Photo, ...], settings: FeatureSettin
 
 
 def _fingerprint(photo: Photo) -> list[Any]:
-    try:
-        status = photo.path.stat()
-    except OSError as error:
-        raise PhotoError(
-            f"{shown(photo.path)} is not there any more.",
-            remedy="Put the photo back where it was, or check the photos again.", path=photo.path,
-        ) from error
-    return [status.st_size, status.st_mtime_ns, photo.width, photo.height, photo.camera, photo.focal_px]
+    return [photo.digest, photo.width, photo.height, photo.camera, photo.focal_px]
 
 
 def _read_record(path: Path) -> dict[str, Any]:

@@ -45,6 +45,7 @@ class Options:
     until: str = "fusion"
     speeds: Path | None = None  # file where this computer's speed is kept, for predictions of later jobs
     memory_gib: float | None = None  # budget for the depth stage; None: 60 % of what is free
+    half_memory: bool = False  # take half of that budget: memory ran out before
     device: str = "auto"  # auto, cpu, cuda, mps
     precision: str = "auto"  # auto, fp32, bf16
     scheduler: str = ""  # address of a Dask scheduler whose workers make the depth maps; "": this process does

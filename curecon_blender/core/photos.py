@@ -11,7 +11,7 @@ import unicodedata
 from collections import Counter
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -44,12 +44,6 @@ _OTHER_REMEDIES = {
 }
 
 
-@dataclass(frozen=True)
-class _Examined:
-    photo: Photo
-    pixels: bytes  # digest of the decoded picture: the same in copies whose metadata or names differ
-
-
 def check_photos(source: Path, reporter: Reporter) -> PhotoSet:
     """Find the photos in `source` and one level of folders below it, decode each, and read what its metadata says.
 
@@ -58,7 +52,7 @@ def check_photos(source: Path, reporter: Reporter) -> PhotoSet:
     Raises PhotoError when `source` is missing or no folder, or holds fewer than MIN_PHOTOS usable photos.
     """
     paths = find_photos(source)
-    results: list[_Examined | SkippedPhoto] = []
+    results: list[Photo | SkippedPhoto] = []
     workers = ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="photos")
     try:
         for result in workers.map(_examine, paths):
@@ -71,7 +65,7 @@ def check_photos(source: Path, reporter: Reporter) -> PhotoSet:
         reporter.warning(f"Left out: {skip.reason}")
     if len(examined) < MIN_PHOTOS:
         raise _too_few(source, len(examined), skipped)
-    photos = _with_names(source, _with_sharpness([one.photo for one in examined]))
+    photos = _with_names(source, _with_sharpness(examined))
     for problem in ("blurred", "overexposed", "underexposed"):
         if names := [photo.name for photo in photos if problem in _problems(photo)]:
             text = "1 photo looks" if len(names) == 1 else f"{len(names)} photos look"
@@ -178,7 +172,7 @@ def _natural(name: str) -> list[tuple[int, str]]:
     return [(int(part), "") if place % 2 else (0, part) for place, part in enumerate(parts)]
 
 
-def _examine(path: Path) -> _Examined | SkippedPhoto:
+def _examine(path: Path) -> Photo | SkippedPhoto:
     if not images.is_text(path):
         return SkippedPhoto(path=path, reason=f"{images.shown(path)} has a name or a folder whose letters are no text.")
     try:
@@ -191,14 +185,14 @@ def _examine(path: Path) -> _Examined | SkippedPhoto:
             rgb = images.decode(image, path, SHARPNESS_SIZE)
     except PhotoError as error:
         return SkippedPhoto(path=path, reason=error.message)
-    photo = Photo(
+    return Photo(
         name=path.name, path=path, width=width, height=height,
         camera=f"{told.camera or 'unknown camera'} {width}x{height}", focal_px=told.focal_px, gps=told.gps,
         gimbal=told.gimbal, relative_altitude=told.relative_altitude, time=told.time, sharpness=_sharpness(rgb),
         overexposed=bool((rgb.min(axis=2) >= WHITE).mean() >= OVEREXPOSED),
         underexposed=bool((rgb.max(axis=2) <= BLACK).mean() >= UNDEREXPOSED),
+        digest=hashlib.sha256(rgb.tobytes()).hexdigest(),
     )
-    return _Examined(photo, hashlib.sha256(rgb.tobytes()).digest())
 
 
 def _problems(photo: Photo) -> list[str]:
@@ -228,20 +222,19 @@ def _with_sharpness(photos: list[Photo]) -> list[Photo]:
 
 
 def _without_duplicates(
-    results: Iterable[_Examined | SkippedPhoto],
-) -> tuple[list[_Examined], list[SkippedPhoto]]:
-    first: dict[bytes, Path] = {}
-    examined: list[_Examined] = []
+    results: Iterable[Photo | SkippedPhoto],
+) -> tuple[list[Photo], list[SkippedPhoto]]:
+    first: dict[str, Path] = {}
+    examined: list[Photo] = []
     skipped: list[SkippedPhoto] = []
     for result in results:
         if isinstance(result, SkippedPhoto):
             skipped.append(result)
-        elif result.pixels in first:
-            path = result.photo.path
-            reason = f"{images.shown(path)} is the same picture as {images.shown(first[result.pixels])}."
-            skipped.append(SkippedPhoto(path=path, reason=reason))
+        elif result.digest in first:
+            reason = f"{images.shown(result.path)} is the same picture as {images.shown(first[result.digest])}."
+            skipped.append(SkippedPhoto(path=result.path, reason=reason))
         else:
-            first[result.pixels] = result.photo.path
+            first[result.digest] = result.path
             examined.append(result)
     return examined, skipped
 

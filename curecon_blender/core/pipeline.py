@@ -9,7 +9,8 @@ import hashlib
 import shutil
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ import psutil
 
 from . import components as components_file
 from .allocator import release
-from .errors import DeviceError, SparseError, SurfaceError, WorkspaceError
+from .errors import DeviceError, PhotoError, SparseError, SurfaceError, WorkspaceError, ran_out_of_memory
 from .files import scratch_folder, write_json
 from .mesh import filled_share, mesh_file, read_mesh, textured_folder, write_mesh
 from .messages import Reporter
@@ -96,6 +97,7 @@ class _Job:
         self.options, self.workspace, self.reporter = options, workspace, reporter
         self.photo_set = PhotoSet(photos=())
         self.components: list[Component] = []
+        self.files: dict[Path, tuple[int, ...]] = {}  # the photos' sizes (bytes) and times (ns) when the job began
         self.key = ""  # of the stage just done; every stage's key takes in the one before
 
     def take_up(self) -> None:
@@ -113,14 +115,17 @@ class _Job:
 
         assert self.options.photos is not None
         source = self.options.photos.absolute()
-        files = [(str(p), p.stat().st_size, p.stat().st_mtime_ns) for p in find_photos(source)]
+        self.files = {path: _size_and_time(path) for path in find_photos(source)}
         file = self.workspace.root / "photos.json"
 
         def run() -> None:
             write_json(file, _photo_set_to_json(check_photos(source, self.reporter)))
 
-        self._stage("photos", {"files": files}, run)
+        self._stage("photos", {"files": [(str(path), *facts) for path, facts in self.files.items()]}, run, [file.name])
         self.photo_set = _photo_set_from_json(file)
+        # What follows depends on the pictures and not on where they lie: a moved or copied folder is checked again,
+        # and finds everything else done.
+        self.key = key_of([{**asdict(photo), "path": None} for photo in self.photo_set.photos])
 
     def sparse(self) -> None:
         from . import cost, sparse
@@ -129,7 +134,7 @@ class _Job:
         inputs: dict[str, Any] = {"model": _digest(options.model)} if options.model else {"mapper": options.mapper}
         inputs["image_size"] = options.preset.sfm_image_size
 
-        def run() -> None:
+        def find_cameras() -> None:
             # The database ends the process when its disk is full, so what it may need is asked for beforehand.
             self.workspace.require_space(cost.disk_bytes(self.photo_set.photos, options))
             if options.model:
@@ -137,7 +142,11 @@ class _Job:
             else:
                 sparse.reconstruct(self.photo_set, options, self.workspace.root, self.reporter)
 
-        self._stage("sparse", inputs, run)
+        def run() -> None:
+            with self._photos_must_stay():
+                find_cameras()
+
+        self._stage("sparse", inputs, run, ["sparse/[0-9]*/*.bin", "sparse/[0-9]*/frame.json"])
 
     def views(self) -> None:
         from . import cost
@@ -145,11 +154,14 @@ class _Job:
 
         def run() -> None:
             self.workspace.require_space(cost.depth_bytes(self.photo_set.photos, self.options))
-            found = prepare_views(self.photo_set, self.options, self.workspace.root, self.reporter)
-            components_file.write(self.workspace.root, found)
+            with self._photos_must_stay():
+                found = prepare_views(self.photo_set, self.options, root, self.reporter)
+            components_file.write(root, found)
 
-        self._stage("views", {"image_size": self.options.image_size, "sources": self.options.source_views}, run)
-        self.components = components_file.read(self.workspace.root)
+        root = self.workspace.root
+        inputs = {"image_size": self.options.image_size, "sources": self.options.source_views}
+        self._stage("views", inputs, run, [components_file.FILE_NAME, "undistorted/*.jpg"])
+        self.components = self._following_the_photos(components_file.read(root))
 
     def depth(self) -> None:
         from . import weights
@@ -160,15 +172,27 @@ class _Job:
         key = self._key("depth", inputs)
 
         def run() -> None:
-            if self.options.scheduler:
+            try:
+                estimate(self.options)
+                return
+            except Exception as error:
+                if self.options.half_memory or not ran_out_of_memory(error):
+                    raise
+            # Outside of the except block, or the traceback would hold on to what filled the memory.
+            release()
+            self.reporter.warning("Memory ran out: the depth maps go on with half the memory budget.")
+            estimate(replace(self.options, half_memory=True))
+
+        def estimate(options: Options) -> None:
+            if options.scheduler:
                 from .spreading import spread_depths
 
-                spread_depths(self.components, self.workspace.root, self.options, key, self.reporter)
+                spread_depths(self.components, self.workspace.root, options, key, self.reporter)
                 return
-            network = weights.load_network(self.options.weights)
-            estimate_depths(self.components, network, self.workspace.root, self.options, key, self.reporter)
+            network = weights.load_network(options.weights)
+            estimate_depths(self.components, network, self.workspace.root, options, key, self.reporter)
 
-        self._stage("depth", inputs, run)
+        self._stage("depth", inputs, run, ["depth/*.npz"])
 
     def fusion(self) -> None:
         from .fusion import NoPointsError, fuse
@@ -194,7 +218,7 @@ class _Job:
 
             self._drop_surfaces(textures_only=False)  # they are of the cloud before
 
-        self._stage("fusion", inputs, run)
+        self._stage("fusion", inputs, run, ["cloud*.ply"])
 
     def mesh(self) -> None:
         from .alignment import rotation, turned_cloud
@@ -209,7 +233,7 @@ class _Job:
         def build(component: Component) -> None:
             cloud = read_edited_cloud(root / component.cloud)
             turn = rotation(options.region_turn) if options.region_turn else None
-            with scratch_folder(root / ".mesh") as scratch:
+            with scratch_folder(root / "mesh") as scratch:
                 # Along the region's own axes, and back.
                 if turn is not None:
                     cloud = turned_cloud(cloud, turn)
@@ -227,7 +251,7 @@ class _Job:
             inputs["region_turn"] = options.region_turn
         if any(edits := [edits_key(root / component.cloud) for component in self.components]):
             inputs["edits"] = edits
-        self._stage("mesh", inputs, run)
+        self._stage("mesh", inputs, run, ["mesh*.ply"])
 
     def texture(self) -> None:
         from .texturing import TextureOptions, texture_mesh
@@ -243,7 +267,34 @@ class _Job:
         def run() -> None:
             self._each_surface([c for c in self.components if (root / mesh_file(c.index)).exists()], paint)
 
-        self._stage("texture", {"size": options.texture_size, "format": options.texture_format}, run)
+        self._stage("texture", {"size": options.texture_size, "format": options.texture_format}, run, ["textured*/*"])
+
+    def _following_the_photos(self, components: list[Component]) -> list[Component]:
+        """The components with their views' originals where the photos lie now, kept so in the workspace."""
+        places = {photo.name: str(photo.path) for photo in self.photo_set.photos}
+        if any(view.original != places[view.name] for component in components for view in component.views):
+            components = [replace(component, views=tuple(
+                replace(view, original=places[view.name]) for view in component.views
+            )) for component in components]
+            components_file.write(self.workspace.root, components)
+        return components
+
+    @contextmanager
+    def _photos_must_stay(self) -> Iterator[None]:
+        """Raise PhotoError when a photo was changed, moved or deleted since the job began: whatever went wrong in the
+        block is then its consequence, and what went well may be of two states of it."""
+        try:
+            yield
+        finally:
+            for photo in self.photo_set.photos:
+                now = _size_and_time(photo.path)
+                if now != self.files[photo.path]:
+                    what = "changed" if now else "moved or deleted"
+                    raise PhotoError(
+                        f"{photo.path.name} was {what} while the job was running.",
+                        remedy="Put it back if it should be used, then run it again: the photos are checked anew.",
+                        path=photo.path,
+                    )
 
     def _each_surface(self, components: list[Component], run: Callable[[Component], None]) -> None:
         """Run for every component; one that cannot have a surface does not cost the others theirs."""
@@ -296,8 +347,9 @@ class _Job:
     def _key(self, stage: str, inputs: dict[str, Any]) -> str:
         return key_of({"stage": stage, "before": self.key, **inputs})
 
-    def _stage(self, stage: str, inputs: dict[str, Any], run: Callable[[], None]) -> None:
-        """Run a stage unless it is done for the same inputs, and mark it done with what it took."""
+    def _stage(self, stage: str, inputs: dict[str, Any], run: Callable[[], None], made: list[str]) -> None:
+        """Run a stage unless it is done for the same inputs, and mark it done with what it took and made (patterns of
+        files in the workspace)."""
         key = self._key(stage, inputs)
         if not self.workspace.is_done(stage, key):
             self.workspace.reopen(stage)
@@ -305,7 +357,10 @@ class _Job:
             with PeakMemory() as peak:
                 started = time.monotonic()
                 run()
-            record = StageRecord(key=key, seconds=time.monotonic() - started, peak_gib=peak.bytes / 2**30)
+            root = self.workspace.root
+            files = tuple(sorted(p.relative_to(root).as_posix() for pattern in made for p in root.glob(pattern)))
+            seconds = time.monotonic() - started
+            record = StageRecord(key=key, seconds=seconds, peak_gib=peak.bytes / 2**30, files=files)
             self.workspace.mark_done(stage, record)
             self._learn(stage, record.seconds)
         else:
@@ -348,6 +403,15 @@ def _resident(process: psutil.Process) -> int:
         return int(process.memory_info().rss)
     except psutil.NoSuchProcess:  # a child that has just ended
         return 0
+
+
+def _size_and_time(file: Path) -> tuple[int, ...]:
+    """A file's size in bytes and time of change in nanoseconds; () when it is not there."""
+    try:
+        status = file.stat()
+    except FileNotFoundError:
+        return ()
+    return status.st_size, status.st_mtime_ns
 
 
 def _digest(model: Path) -> str:

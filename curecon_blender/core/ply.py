@@ -16,7 +16,7 @@ import numpy as np
 
 from . import reading
 from .errors import WorkspaceError
-from .files import disk_errors
+from .files import disk_errors, partial_path
 
 VERTEX = np.dtype([
     ("x", "<f4"), ("y", "<f4"), ("z", "<f4"),
@@ -58,7 +58,7 @@ class CloudWriter:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._partial = path.with_name(f".{path.name}.partial")
+        self._partial = partial_path(path)
         self.count = 0
 
     def __enter__(self) -> CloudWriter:

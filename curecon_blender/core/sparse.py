@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
@@ -15,7 +14,7 @@ import torch
 
 from . import colmap_model, georeference, matching
 from .errors import SparseError
-from .files import disk_errors
+from .files import scratch_folder
 from .images import read_rgb
 from .messages import Reporter
 from .options import Options
@@ -164,7 +163,6 @@ def _map(photos: tuple[Photo, ...], options: Options, workspace: Path, meter: _M
     if mapper == "auto":
         mapper = "incremental" if len(photos) <= INCREMENTAL else "global"
     names = [photo.name for photo in photos]
-    output = workspace / "sparse" / ".mapper"
     registered = [0]  # photos placed so far, told by the mapper's thread
 
     def count() -> None:
@@ -186,12 +184,8 @@ def _map(photos: tuple[Photo, ...], options: Options, workspace: Path, meter: _M
         settings.num_threads, settings.random_seed = matching.threads(), 0
         return list(pycolmap.global_mapping(_database_path(workspace), workspace, output, settings).values())
 
-    with disk_errors(output):
-        output.mkdir(parents=True, exist_ok=True)
-    try:
+    with scratch_folder(workspace / "sparse" / "mapper") as output:
         return _cancellable(incremental if mapper == "incremental" else at_once, registered, meter)
-    finally:
-        shutil.rmtree(output, ignore_errors=True)
 
 
 def _cancellable(

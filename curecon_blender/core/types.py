@@ -54,6 +54,7 @@ class Photo:
     blurred: bool = False
     overexposed: bool = False  # too much of it is pure white
     underexposed: bool = False  # too much of it is black
+    digest: str = ""  # of the picture itself: the same in a copy of the file, whatever its name, place and time
 
 
 @dataclass(frozen=True, kw_only=True)

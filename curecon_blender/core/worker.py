@@ -23,7 +23,7 @@ from typing import TextIO
 
 from . import messages
 from .allocator import use_large_pages
-from .errors import CuReconError, SetupError
+from .errors import CuReconError, OutOfMemory, SetupError, ran_out_of_memory
 from .messages import Message, Reporter
 from .options import QUALITIES, STAGES, SURFACE_STAGES, Options
 
@@ -33,12 +33,13 @@ EXIT_CODES = """exit codes:
   2  wrong arguments          7  device not there, or memory budget too small
   3  photos unusable          8  no point that enough views agree on
   4  cameras not found        9  a library is missing from this Python
- 10  no mesh or no texture can be made               130  cancelled
+ 10  no mesh or no texture can be made     11  out of memory
+130  cancelled
 """
 LIBRARIES = ("numpy", "PIL", "psutil", "cv2", "safetensors", "scipy", "torch", "pycolmap", "xatlas", "numba")
 REQUIREMENTS = Path(__file__).resolve().parent.parent / "requirements.txt"
 PLAIN_LINE_EVERY = 10.0  # seconds between progress lines in a pipe
-ORPHAN_GRACE = 20.0  # seconds a worker may take to stop by itself once its parent is gone
+ORPHAN_GRACE = 3.0  # seconds a worker may take to stop by itself once its parent is gone; a restart waits for it
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -52,6 +53,14 @@ def main(arguments: list[str] | None = None) -> int:
     else:
         sink = _Terminal(sys.stderr)
     reporter = Reporter(sink, cancel.is_set)
+
+    def fail(error: CuReconError) -> int:
+        sink(messages.failure(error))
+        if options.json:
+            print(json.dumps({"error": error.message, "kind": error.kind, "remedy": error.remedy,
+                              "path": error.path, "exit_code": error.exit_code}), file=out, flush=True)
+        return error.exit_code
+
     try:
         _require_libraries()
         # After the libraries: pycolmap's logging installs handlers of its own when it is imported.
@@ -59,13 +68,11 @@ def main(arguments: list[str] | None = None) -> int:
             signal.signal(number, lambda *_: cancel.set())
         summary = _run(options, reporter)
     except CuReconError as error:
-        sink(messages.failure(error))
-        if options.json:
-            print(json.dumps({"error": error.message, "kind": error.kind, "remedy": error.remedy,
-                              "path": error.path, "exit_code": error.exit_code}), file=out, flush=True)
-        return error.exit_code
+        return fail(error)
     except Exception as error:  # the boundary of the process: a fault must reach the user, whatever it is
         traceback.print_exc(file=sys.stderr)
+        if ran_out_of_memory(error):
+            return fail(OutOfMemory())
         sink(messages.Failure(
             kind="fault", message=f"CU-Recon failed: {type(error).__name__}: {error}",
             remedy="Please report this with the log; running again goes on from the last finished photo.",
@@ -131,6 +138,8 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--max-image-size", type=_positive(int), help="longest side of a depth map in pixels")
     run.add_argument("--views", type=_positive(int), help="source views per photo")
     run.add_argument("--until", choices=STAGES, default=default["until"], help="stop after this stage")
+    run.add_argument("--half-memory", action="store_true",
+                     help="half the memory budget for the depth maps, where a run before ran out of memory")
     run.add_argument("--precision", choices=("auto", "fp32", "bf16"), default=default["precision"])
     run.add_argument("--scheduler", default=default["scheduler"], metavar="ADDRESS",
                      help="make the depth maps on the workers of the Dask cluster at tcp://HOST:PORT")

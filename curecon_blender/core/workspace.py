@@ -4,25 +4,29 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
 import re
 import shutil
 import sys
-from dataclasses import dataclass
+import time
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Annotated, Any
 
 from .errors import WorkspaceError
-from .files import disk_errors, write_json
-from .reading import FARTHEST, Within, build, read_json
+from .files import disk_errors, remove_partials, write_json
+from .reading import FARTHEST, INSIDE, Within, build, read_json
 
 FORMAT = 1
 # What a job writes, beside which the photos may lie.
 _OWN_FOLDERS = re.compile(r"sparse|undistorted|depth|stages|textured(_\d+)?|\..*")
 _OWN_FILES = re.compile(r"\.(json|ply|npz|lock|log|partial)$")
+LOCK_PATIENCE = 5.0  # seconds; a worker whose Blender was killed needs less to end
+_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL)
 
 
 def key_of(value: Any) -> str:
@@ -33,17 +37,19 @@ def key_of(value: Any) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class StageRecord:
-    """A stage's done-marker: the key it was done for, and what it took."""
+    """A stage's done-marker: the key it was done for, what it took, and the files it made, below the workspace."""
 
     key: str
     seconds: Annotated[float, Within(0, FARTHEST)]
     peak_gib: Annotated[float, Within(0, FARTHEST)]
+    files: tuple[Annotated[str, INSIDE], ...] = ()
 
 
 class Workspace:
     """An open workspace folder, locked against a second job for as long as the `with` block runs.
 
-    Raises WorkspaceError when the folder cannot be made or written, is in use, or was made by a newer version.
+    What a killed job left half-written is removed. Raises WorkspaceError when the folder cannot be made or written, is
+    in use, or was made by a newer version.
     """
 
     def __init__(self, root: Path) -> None:
@@ -67,6 +73,8 @@ class Workspace:
                 _check_format(marker)
             else:
                 write_json(marker, {"format": FORMAT, "made_by": "CU-Recon"})
+            with disk_errors(self.root):
+                remove_partials(self.root)
         except WorkspaceError:
             self._lock.close()
             raise
@@ -78,20 +86,20 @@ class Workspace:
         self._lock.close()  # the operating system lets go of the lock, as it does when the process is killed
 
     def record(self, stage: str) -> StageRecord | None:
-        """The stage's done-marker, if it has one."""
+        """The stage's done-marker, if it has one and all its files are still there."""
         path = self._marker(stage)
         try:
             record: StageRecord = build(StageRecord, read_json(path))
-            return record
         except (OSError, ValueError):
-            return None  # never finished, or cut off while the marker was written: the stage runs again
+            return None  # never finished, or the marker is damaged: the stage runs again
+        return record if all((self.root / file).exists() for file in record.files) else None
 
     def is_done(self, stage: str, key: str) -> bool:
         record = self.record(stage)
         return record is not None and record.key == key
 
     def mark_done(self, stage: str, record: StageRecord) -> None:
-        write_json(self._marker(stage), {"key": record.key, "seconds": record.seconds, "peak_gib": record.peak_gib})
+        write_json(self._marker(stage), asdict(record))
 
     def reopen(self, stage: str) -> None:
         """Take back a done-marker before its stage's files are touched."""
@@ -148,21 +156,36 @@ def _check_format(marker: Path) -> None:
 
 def _lock(file: IO[bytes], root: Path) -> None:
     """Take an exclusive lock that the operating system gives back when the process ends, however it ends."""
-    try:
-        if sys.platform == "win32":
-            import msvcrt
+    deadline = time.monotonic() + LOCK_PATIENCE
+    while True:
+        try:
+            _try_lock(file)
+            return
+        except OSError as error:
+            if error.errno not in _NO_LOCKS and time.monotonic() < deadline:
+                time.sleep(0.1)
+                continue
+            file.close()
+            if error.errno in _NO_LOCKS:
+                raise WorkspaceError(
+                    f"The drive of {root} cannot lock files, so two jobs could spoil each other's work.",
+                    remedy="Choose a workspace folder on a local drive.", path=root,
+                ) from error
+            raise WorkspaceError(
+                f"Another CU-Recon job is using the workspace {root}.",
+                remedy="Wait for it, cancel it, or choose another workspace folder.", path=root,
+            ) from error
 
-            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-        else:
-            import fcntl
 
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        file.close()
-        raise WorkspaceError(
-            f"Another CU-Recon job is using the workspace {root}.",
-            remedy="Wait for it, cancel it, or choose another workspace folder.", path=root,
-        ) from error
+def _try_lock(file: IO[bytes]) -> None:
+    if sys.platform == "win32":
+        import msvcrt
+
+        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+    else:
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def folder_bytes(root: Path) -> int:
