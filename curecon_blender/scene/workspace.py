@@ -242,8 +242,16 @@ def _remove(scene: bpy.types.Scene | None, collection: bpy.types.Collection) -> 
                 scene.collection.objects.link(item)
             continue
         bpy.data.objects.remove(item)
-        if not data.users:
-            (bpy.data.cameras if isinstance(data, bpy.types.Camera) else bpy.data.pointclouds).remove(data)
+        if data.users:
+            continue
+        if isinstance(data, bpy.types.PointCloud):
+            bpy.data.pointclouds.remove(data)
+            continue
+        photos = {background.image for background in data.background_images if background.image is not None}
+        bpy.data.cameras.remove(data)
+        for image in photos:
+            if not image.users:
+                bpy.data.images.remove(image)
     for child in list(collection.children_recursive):
         bpy.data.collections.remove(child)
     bpy.data.collections.remove(collection)

@@ -21,7 +21,7 @@ from curecon_blender.scene.surface import surfaces_of
 from curecon_blender.scene.workspace import clouds_of
 
 FOLDER = Path(sys.argv[1]) / "site"
-KINDS = ("collections", "objects", "pointclouds", "meshes", "cameras")
+KINDS = ("collections", "objects", "pointclouds", "meshes", "cameras", "images")
 
 
 def stock() -> dict[str, list[str]]:
