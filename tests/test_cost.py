@@ -106,3 +106,9 @@ def test_the_depth_stage_keeps_to_its_budget(tmp_path: Path) -> None:
     wide = cost.predict(photos, replace(options, max_image_size=8000, memory_gib=100.0), REFERENCE)
     tight = cost.predict(photos, replace(options, max_image_size=8000, memory_gib=2.0), REFERENCE)
     assert tight["memory_gib"] < 4 < wide["memory_gib"]
+
+
+def test_a_large_site_needs_no_more_memory_than_its_mesh_of_a_million_faces(tmp_path: Path) -> None:
+    options = Options(photos=None, workspace=tmp_path, quality="preview", memory_gib=4.0, until="texture")
+    memory = [cost.predict(site(count, 1600, 1200), options, REFERENCE)["memory_gib"] for count in (30, 240, 2000)]
+    assert memory[0] < 4 < memory[1] == memory[2] < 8

@@ -12,6 +12,7 @@ import pytest
 from box_scene import BOX, surface_distance, texture
 from scipy.spatial import cKDTree
 
+from curecon_blender.core import meshing
 from curecon_blender.core.errors import Cancelled
 from curecon_blender.core.mesh import Mesh
 from curecon_blender.core.meshing import MeshError, MeshOptions, build_mesh
@@ -152,6 +153,18 @@ def test_max_faces_holds_and_the_surface_stays(tmp_path: Path) -> None:
     assert surface_distance(points[~mesh.filled[face]]).mean() < 0.5 * SPACING
     assert mesh.filled[face[in_hole(points)]].mean() > 0.5  # coarse faces, still honest
     assert not list((tmp_path / "scratch").iterdir())
+
+
+def test_a_cloud_of_too_many_points_is_thinned_evenly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(meshing, "POINTS_A_FACE", 0.01)
+    told: list[str] = []
+    mesh = build(HOUSE, tmp_path, Reporter(lambda message: told.append(getattr(message, "text", ""))))
+    check_sound(mesh)
+    points, face = sample(mesh, 0.02)
+    assert surface_distance(points[~mesh.filled[face]]).mean() < 0.5 * SPACING
+    assert cKDTree(points).query(HOUSE.points)[0].max() < 4 * SPACING  # nothing of the house is gone
+    used = int(next(text for text in told if "of the cloud's" in text).split()[5])
+    assert 5_000 < used <= 10_000 < len(HOUSE)
 
 
 def test_only_the_region_is_made(tmp_path: Path) -> None:

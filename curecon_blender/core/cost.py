@@ -20,7 +20,7 @@ import numpy as np
 import psutil
 import torch
 
-from . import depth, matching
+from . import depth, matching, meshing
 from .files import write_json
 from .options import PRESETS, STAGES, SURFACE_STAGES, Options
 from .reading import Within, build, read_json
@@ -38,6 +38,7 @@ FEATURE_BYTES_PER_PIXEL = 60  # of a photo's features, which the depth stage kee
 # Measured peaks of other stages: matching, per thread and square of the features (8192 of them: 1.2 GiB); features, per
 # thread and pixel; the mesh, per pixel of all depth maps together.
 MATCHING_BYTES, EXTRACTION_BYTES_PER_PIXEL, MESH_BYTES_PER_PIXEL = 19, 250, 140
+PIXELS_A_POINT = 11  # of all depth maps, for each point of the cloud
 _PROBE_CONVOLUTION, _PROBE_BLUR = 0.037, 0.013  # seconds of the probes on the reference
 
 
@@ -166,10 +167,11 @@ def _peak_bytes(photos: tuple[Photo, ...], options: Options) -> dict[str, float]
     per_pixel += options.source_views * depth.BYTES_PER_SOURCE_PIXEL
     tile = max(min(depth.BASE_BYTES + max(pixels) * per_pixel, budget), depth.LEAST_BUDGET)
     features = min(depth.FEATURE_BYTES, budget / 4, sum(pixels) * FEATURE_BYTES_PER_PIXEL)
+    meshed = min(sum(pixels), PIXELS_A_POINT * meshing.POINTS_A_FACE * options.max_faces)
     peaks = {
         "photos": threads * full, "sparse": threads * max(picture, MATCHING_BYTES * options.preset.max_features**2),
         "views": threads * full, "depth": tile + features, "fusion": 40 * max(pixels),
-        "mesh": sum(pixels) * MESH_BYTES_PER_PIXEL, "texture": sum(pixels) * MESH_BYTES_PER_PIXEL / 2,
+        "mesh": meshed * MESH_BYTES_PER_PIXEL, "texture": meshed * MESH_BYTES_PER_PIXEL / 2,
     }
     return {stage: LIBRARIES_BYTES + peak for stage, peak in peaks.items()}
 

@@ -37,6 +37,9 @@ from .ply import Cloud, CloudWriter
 
 _LEAST_POINTS = 1000
 _DEPTHS = (6, 12)  # of the octree; its memory grows with the points, not with the depth
+# More than that many points for each face that may stay do not show: they are thinned out, or a large site's mesh would
+# need memory without end. (A smaller face target than the usual one gets the usual one's points.)
+POINTS_A_FACE = 4
 _POISSON_MARGIN = 1.1  # Poisson's cube is this much larger than the cloud
 _CELL = 4.0  # median spacings: side of the cells, 3x3x3 of which are a point's block; no local spacing is larger
 _TRUSTED = 0.4  # of the cloud's median confidence: a point with less is not used
@@ -92,8 +95,10 @@ def build_mesh(cloud: Cloud, options: MeshOptions, scratch: Path, reporter: Repo
     steps = 5
     reporter.progress(0, steps)
     cloud = _usable(cloud, reporter)
+    cloud = _near_region(cloud, options, _median_spacing(cloud.points))
+    cloud = _thinned(cloud, int(POINTS_A_FACE * max(options.max_faces, MeshOptions.max_faces)), reporter)
     spacing = _median_spacing(cloud.points)
-    cloud, local_spacing = _without_strays(_near_region(cloud, options, spacing), spacing)
+    cloud, local_spacing = _without_strays(cloud, spacing)
     support = _Support(cloud, local_spacing)
     reporter.progress(1, steps)
     vertices, faces = _poisson(cloud, spacing, scratch, reporter)
@@ -193,6 +198,23 @@ def _near_region(cloud: Cloud, options: MeshOptions, spacing: float) -> Cloud:
                         f"{_LEAST_POINTS}.", remedy="Choose a larger region, or one that lies on the cloud.")
     margin = _REGION_MARGIN * spacing
     return _take(cloud, ((cloud.points >= low - margin) & (cloud.points <= high + margin)).all(axis=1))
+
+
+def _thinned(cloud: Cloud, most: int, reporter: Reporter) -> Cloud:
+    """At most so many points, evenly: the surest of every cube of a grid, as fine a grid as that allows."""
+    if len(cloud) <= most:
+        return cloud
+    side = _median_spacing(cloud.points) * np.sqrt(len(cloud) / most)
+    surest = np.argsort(-cloud.confidence, kind="stable")
+    while True:
+        places = np.floor((cloud.points - cloud.points.min(axis=0)) / side).astype(np.int64)
+        _, rows, layers = places.max(axis=0) + 1
+        first = np.unique((places @ np.array([rows * layers, layers, 1]))[surest], return_index=True)[1]
+        if len(first) <= most:
+            break
+        side *= 1.02 * np.sqrt(len(first) / most)  # a surface's cubes become fewer with the square of their side
+    reporter.log(f"The surface is made of {len(first)} of the cloud's {len(cloud)} points.")
+    return _take(cloud, np.sort(surest[first]))
 
 
 def _without_strays(cloud: Cloud, spacing: float) -> tuple[Cloud, np.ndarray]:
