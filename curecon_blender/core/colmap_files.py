@@ -82,7 +82,7 @@ def _unique(values: list[int], what: str) -> list[int]:
 def _parameters() -> dict[int, int]:
     """How many parameters each of COLMAP's camera models has, by its number."""
     kinds = [kind for name, kind in pycolmap.CameraModelId.__members__.items() if name != "INVALID"]
-    return {int(kind): len(pycolmap.Camera.create(1, kind, 1.0, 2, 2).params) for kind in kinds}
+    return {int(kind): len(pycolmap.Camera.create_from_model_id(1, kind, 1.0, 2, 2).params) for kind in kinds}
 
 
 def _read_cameras(file: _Bytes) -> set[int]:

@@ -127,7 +127,7 @@ def refuse_links(root: Path) -> None:
     for folder, folders, files in os.walk(root):
         if Path(folder) == root:
             folders[:] = [name for name in folders if _OWN_FOLDERS.fullmatch(name)]
-            files = [name for name in files if _OWN_FILES.search(name)]
+            files = [name for name in files if _OWN_FILES.search(name) or _OWN_FOLDERS.fullmatch(name)]
         # A junction of Windows is a folder that only its real path gives away.
         links = [name for name in files if os.path.islink(os.path.join(folder, name))]
         for path in (Path(folder, name) for name in [*folders, *links]):

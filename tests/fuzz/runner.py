@@ -18,7 +18,7 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 
 from curecon_blender.core.errors import CuReconError
 
-from .targets import TARGETS
+from .targets import TARGETS, Target
 
 MEMORY = 1 << 30  # bytes that reading one small file may take on top of the libraries
 CASE_SECONDS = 10  # of the processor's time for one case
@@ -44,7 +44,6 @@ def fuzz(target: str, seconds: float, first_seed: int, folder: Path) -> None:
         shutil.copytree(sound, spoiled)
         chosen.load(spoiled)  # the libraries, before memory is limited
         _limit_memory()
-        signal.signal(signal.SIGPROF, _too_long)
         until, cases, number = time.monotonic() + seconds, 0, first_seed
 
         def case(drawn: tuple[str, bytes]) -> None:
@@ -55,17 +54,12 @@ def fuzz(target: str, seconds: float, first_seed: int, folder: Path) -> None:
             cases += 1
             counted.write_text(str(cases))
             (folder / "running").write_bytes(name.encode() + b"\0" + content)  # what a crash leaves for the parent
-            (spoiled / name).write_bytes(content)
             try:
-                _read(chosen.read, spoiled)
+                try_case(chosen, sound, spoiled, name, content)
             except Finding as finding:
                 if (kind := str(finding).splitlines()[0]) not in known:
                     found.append((kind, str(finding), name, content))
                     raise
-            finally:
-                (spoiled / name).unlink()
-                if (sound / name).exists():
-                    shutil.copy(sound / name, spoiled / name)
 
         while time.monotonic() < until:
             found: list[tuple[str, str, str, bytes]] = []  # kind, words, file, content
@@ -89,8 +83,21 @@ def fuzz(target: str, seconds: float, first_seed: int, folder: Path) -> None:
     (folder / "running").unlink(missing_ok=True)
 
 
+def try_case(target: Target, sound: Path, spoiled: Path, name: str, content: bytes) -> None:
+    """Read the folder `spoiled`, otherwise as `sound`, with one file's content replaced. Raises Finding."""
+    (spoiled / name).write_bytes(content)
+    try:
+        _read(target.read, spoiled)
+    finally:
+        (spoiled / name).unlink()
+        if (sound / name).exists():
+            shutil.copy(sound / name, spoiled / name)
+
+
 def _read(read: Callable[[Path], object], folder: Path) -> None:
-    signal.setitimer(signal.ITIMER_PROF, CASE_SECONDS)  # other programs do not count
+    if hasattr(signal, "SIGPROF"):
+        signal.signal(signal.SIGPROF, _too_long)
+        signal.setitimer(signal.ITIMER_PROF, CASE_SECONDS)  # other programs do not count
     try:
         read(folder)
     except CuReconError as error:
@@ -102,7 +109,8 @@ def _read(read: Callable[[Path], object], folder: Path) -> None:
         place = f"{Path(ours[-1].filename).name}:{ours[-1].name}" if ours else "?"
         raise Finding(f"{type(error).__name__} in {place}\n{traceback.format_exc()[-1500:]}") from error
     finally:
-        signal.setitimer(signal.ITIMER_PROF, 0)
+        if hasattr(signal, "SIGPROF"):
+            signal.setitimer(signal.ITIMER_PROF, 0)
 
 
 def _too_long(*_: object) -> None:

@@ -106,6 +106,10 @@ def _picture_cases(folder: Path) -> st.SearchStrategy[tuple[str, bytes]]:
     ))
 
 
+def _make_picture(folder: Path) -> None:
+    (folder / PHOTO).write_bytes(_picture("JPEG"))
+
+
 def _read_picture(folder: Path) -> None:
     from curecon_blender.core import photos, pipeline
     from curecon_blender.core.types import Photo, PhotoSet
@@ -336,6 +340,10 @@ def _speeds_cases(folder: Path) -> st.SearchStrategy[tuple[str, bytes]]:
     return st.one_of(_json_cases("speeds.json")(folder), _json_cases("features.json")(folder))
 
 
+def _make_message(folder: Path) -> None:
+    (folder / "line").write_text('{"type": "log", "text": "x"}')
+
+
 def _message_cases(folder: Path) -> st.SearchStrategy[tuple[str, bytes]]:
     from curecon_blender.core import messages as m
 
@@ -439,12 +447,8 @@ def _read_weights(folder: Path) -> None:
     weights.load_network(path)
 
 
-def _nothing(folder: Path) -> None:
-    pass
-
-
 TARGETS = {
-    "pictures": Target(_nothing, _picture_cases, _read_picture),
+    "pictures": Target(_make_picture, _picture_cases, _read_picture),
     "cloud": Target(_make_cloud, _ply_cases("cloud.ply"), _read_cloud),
     "mesh": Target(_make_mesh, _ply_cases("mesh.ply"), _read_mesh),
     "removed": Target(_make_cloud, _removed_cases, _read_removed),
@@ -457,7 +461,7 @@ TARGETS = {
     "workspace": Target(_make_workspace, _json_cases("workspace.json"), _read_marker),
     "stage": Target(_make_workspace, _json_cases("stages/depth.json"), _read_marker),
     "speeds": Target(_make_workspace, _speeds_cases, _read_speeds),
-    "messages": Target(_nothing, _message_cases, _read_message),
+    "messages": Target(_make_message, _message_cases, _read_message),
     "model_binary": Target(_make_model, _model_cases("bin"), _model_reader("bin")),
     "model_text": Target(_make_model, _model_cases("txt"), _model_reader("txt")),
     "weights": Target(_make_weights, _weights_cases, _read_weights),
