@@ -99,12 +99,12 @@ def job_ends() -> Wait:
 
 def draw() -> Wait:
     """Nothing but Blender drawing the view anew."""
-    for _ in range(10):
+    for _ in range(5):
         area().tag_redraw()
         yield 0.05
 
 
-def slide(group: object, name: str, low: float, high: float, steps: int = 12) -> Wait:
+def slide(group: object, name: str, low: float, high: float, steps: int = 6) -> Wait:
     """Move a slider to and fro, as fast as the window follows."""
     kept = getattr(group, name)
     for step in range(steps):
@@ -140,7 +140,8 @@ def story(heart: Heart, options: argparse.Namespace) -> Wait:
             bpy.ops.curecon.import_workspace("INVOKE_DEFAULT", directory=str(options.workspace))
         yield from job_ends()
         heart.begin("  and its first drawings")
-        heart.begin("drawing the surface")
+        yield 3.0
+    heart.begin("drawing the surface")
     yield from draw()
     heart.begin("undo")
     with override():
@@ -203,7 +204,7 @@ def main() -> None:
     from curecon_blender.scene import display, viewport
 
     heart = Heart()
-    for holder, name in ((running.StepsOperator, "_go_on"), (viewport, "_draw"), (viewport._Upload, "go_on"),
+    for holder, name in ((running.StepsOperator, "_go_on"), (viewport._Upload, "go_on"),
                          (display, "apply"), (display, "measure_range")):
         heart.listen(holder, name)
     steps = story(heart, options)

@@ -115,8 +115,9 @@ def draw_progress(layout: bpy.types.UILayout, status: Status) -> None:
     column = layout.column(align=True)
     left = status.seconds_left
     overall = f"{status.overall:.0%}" + (f", {duration(left)} left" if left is not None else "")
-    column.progress(factor=status.overall, text="Cancelling..." if status.cancelling else overall)
-    column.separator()
+    if status.stages or status.overall:  # an import has no worker to tell of it
+        column.progress(factor=status.overall, text="Cancelling..." if status.cancelling else overall)
+        column.separator()
     for stage in status.stages:
         name = STAGE_NAMES.get(stage.stage, stage.stage)
         column.progress(factor=stage.fraction, text=f"{name}  {stage.done}/{stage.total}" if stage.total > 1 else name)

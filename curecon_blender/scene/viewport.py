@@ -28,7 +28,7 @@ MIN_POINT_PIXELS = 2.0
 MOVING_POINTS = 3_000_000  # drawn of all clouds together while the view moves; the rest follows when it rests
 REST_SECONDS = 0.25
 PIECE = 1 << 18  # points that are uploaded at once
-PIECE_SECONDS = 0.02  # a drawing begins to upload pieces for so long
+PIECE_SECONDS = 0.01  # a drawing begins to upload pieces for so long
 
 # What is drawn of a cloud: the field, width and type of its attributes, as Blender copies them fastest.
 _ATTRIBUTES: dict[str, tuple[str, int, type]] = {
