@@ -55,7 +55,7 @@ class Imported:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Part:
+class PartContent:
     """A component as it is read. `removed` (N,) bool are the points taken out of its cloud, None where none are."""
 
     component: Component
@@ -71,7 +71,7 @@ class Content:
     as in Imported."""
 
     folder: Path
-    parts: tuple[Part, ...]
+    parts: tuple[PartContent, ...]
     filled: float
     stale_edits: bool
 
@@ -88,7 +88,7 @@ def read(folder: Path) -> Content:
         found = _read_surface(folder, component.index)
         if found is not None:
             meshes.append(found[0])
-        parts.append(Part(
+        parts.append(PartContent(
             component=component, adjustment=alignment.read(folder / component.sparse),
             cloud=points.arrays(cloud) if cloud is not None else None,
             removed=removed[points.file_order(len(removed))] if removed is not None else None,
@@ -170,7 +170,7 @@ def _name(content: Content) -> str:
 
 
 def _build_part(
-    part: Part, content: Content, top: bpy.types.Collection, pack: bool
+    part: PartContent, content: Content, top: bpy.types.Collection, pack: bool
 ) -> Generator[str, None, None]:
     component, folder, only = part.component, content.folder, len(content.parts) == 1
     number = "" if only else f" {component.index + 1}"
