@@ -281,7 +281,8 @@ def npy(kind: str, shape: str, content: bytes = b"") -> bytes:
     npy("|O", "(1,)", pickle.dumps([_Harm()])), npy("|u1", "(1099511627776,)"), npy("|u1", "(2,)", b"\0"),
     npy("|u1", "(2, -1)"), npy("<U999999999", "()"), npy("<f8", "(2,)", bytes(16)), b"", b"\x93NUMPY\x01\x00\xff\xff{",
     npy("|u1", "(300000000,)", bytes(300_000_000)),  # 300 kB in the archive
-], ids=range(9))
+    npy("|u1", "(2,"), npy("|u1", "(" * 5000),  # found by fuzzing: NumPy reads the header as if it were Python
+], ids=range(11))
 def test_arrays_that_promise_or_hold_something_else(
     tmp_path: Path, bits: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:

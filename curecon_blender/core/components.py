@@ -65,11 +65,10 @@ def _check(components: list[Component]) -> None:
     """Raises ValueError for what no field tells on its own: cameras that are none, names that nobody has."""
     if [component.index for component in components] != list(range(len(components))):
         raise ValueError("the components are not in order")
-    views = [view for component in components for view in component.views]
-    if len({view.name for view in views}) != len(views):
-        raise ValueError("two views have one name")
     for component in components:
         names = {view.name for view in component.views}
+        if len(names) != len(component.views):
+            raise ValueError("two views have one name")
         for view in component.views:
             if not {name for name, _ in view.sources} | set(view.overlaps) <= names - {view.name}:
                 raise ValueError(f"{view.name} names a view that is not there")

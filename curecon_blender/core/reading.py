@@ -20,6 +20,7 @@ from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import cache
 from pathlib import Path
+from tokenize import TokenError
 from typing import Annotated, Any, Literal, Protocol, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -212,7 +213,7 @@ def read_arrays(path: Path, expected: Mapping[str, Expected]) -> dict[str, np.nd
     try:
         with zipfile.ZipFile(path) as archive:
             return {name: _member(archive, name, wanted) for name, wanted in expected.items()}
-    except (zipfile.BadZipFile, zlib.error, EOFError, KeyError, NotImplementedError, RuntimeError) as error:
+    except (zipfile.BadZipFile, zlib.error, EOFError, KeyError, RuntimeError, TokenError, MemoryError) as error:
         raise ValueError(f"no sound archive of arrays ({error})") from error
 
 

@@ -14,6 +14,7 @@ from . import (
     export_surface,
     frame_level,
     frame_north,
+    frame_position,
     frame_reset,
     frame_scale,
     import_workspace,
@@ -33,7 +34,8 @@ CLASSES = (
     *build_surface.CLASSES, *export_surface.CLASSES, *present_elevations.CLASSES, *present_moves.CLASSES,
     *present_renders.CLASSES, *present_photos.CLASSES,
     *present_sun.CLASSES,
-    *frame_scale.CLASSES, *frame_level.CLASSES, *frame_north.CLASSES, *frame_reset.CLASSES, *measure.CLASSES,
+    *frame_scale.CLASSES, *frame_level.CLASSES, *frame_north.CLASSES, *frame_reset.CLASSES,
+    *frame_position.CLASSES, *measure.CLASSES,
     *cloud_points.CLASSES, *self_check.CLASSES,
 )
 

@@ -9,7 +9,7 @@ else, and in the workspace, where imports find it; `keep_up` makes the file foll
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import bpy
@@ -18,7 +18,8 @@ from mathutils import Matrix, Vector
 
 from ..core import alignment
 from ..core.alignment import Adjustment
-from ..core.types import Component, Frame, GeoPosition
+from ..core.reading import build, parse_json
+from ..core.types import Component, Frame
 from . import surface
 
 FRAME_KEY = "curecon_frame"  # on a part: its Frame as it was reconstructed, as JSON
@@ -40,10 +41,8 @@ class Part:
 
     @property
     def reconstructed(self) -> Frame:
-        fields = json.loads(self.collection[FRAME_KEY])
-        if fields["origin"] is not None:
-            fields["origin"] = GeoPosition(**fields["origin"])
-        return Frame(**fields)
+        frame: Frame = build(Frame, parse_json(self.collection[FRAME_KEY]))
+        return frame
 
     @property
     def adjustment(self) -> Adjustment:
@@ -173,6 +172,23 @@ def adjust(scene: bpy.types.Scene, part: Part, adjustment: Adjustment) -> None:
         properties.result.scale_source = part.scale_source
 
 
+def forget_position(scene: bpy.types.Scene) -> None:
+    """Take the geodetic position of every part, and the one typed for the sun, out of the scene, so that a .blend can
+    be given away. The workspace keeps its own: an import brings it back."""
+    for part in parts_of(scene):
+        part.collection[FRAME_KEY] = json.dumps(asdict(replace(part.reconstructed, origin=None)))
+        _put(part.collection, part.adjustment)
+    for name in ("latitude", "longitude"):
+        scene.curecon.present.property_unset(name)
+
+
+def has_position(scene: bpy.types.Scene) -> bool:
+    """Whether the scene knows where on Earth it is."""
+    present = scene.curecon.present
+    return (any(part.reconstructed.origin is not None for part in parts_of(scene))
+            or present.is_property_set("latitude") or present.is_property_set("longitude"))
+
+
 def show(scene: bpy.types.Scene, frame: Frame) -> None:
     """Let lengths read as metres, or as plain numbers where nobody measured them."""
     if frame.scale == "metres":
@@ -198,8 +214,8 @@ def _put(collection: bpy.types.Collection, adjustment: Adjustment) -> None:
     frame = Part(collection).frame
     known = {"scale": frame.scale, "up": frame.up, "north": frame.north, "note": frame.note or None,
              "gps_residual": frame.gps_residual}
-    if frame.origin is not None:
-        known |= {f"origin_{name}": value for name, value in asdict(frame.origin).items()}
+    for name in ("latitude", "longitude", "altitude"):
+        known[f"origin_{name}"] = None if frame.origin is None else getattr(frame.origin, name)
     for holder in (collection, *filter(surface.is_surface, collection.all_objects)):
         for name, value in known.items():
             if value is not None:

@@ -6,6 +6,7 @@ carry their uncertainty. Argument: an empty folder."""
 from __future__ import annotations
 
 import json
+import struct
 import sys
 from pathlib import Path
 
@@ -30,6 +31,13 @@ SLAB = np.array([(0.0, 0, 0), (10, 0, 0), (0, 10, 0), (10, 10, 1)])
 
 def scene() -> bpy.types.Scene:
     return bpy.context.scene
+
+
+def tells_where(blend: Path) -> bool:
+    """Save the scene and look for its longitude, 117.25 degrees, in words or as a number."""
+    bpy.ops.wm.save_as_mainfile(filepath=str(blend), compress=False)
+    content = blend.read_bytes()
+    return any(form in content for form in (b"117.25", struct.pack("<d", 117.25), struct.pack("<f", 117.25)))
 
 
 def where(places: np.ndarray) -> np.ndarray:
@@ -187,6 +195,15 @@ try:
     assert np.isclose(second.matrix_world.median_scale, 3) and bpy.data.objects["Cloud 1"].scale.x == 1
     assert (FOLDER / "parts" / "sparse" / "1" / "adjustment.json").is_file()
     assert scene().curecon.result.scale == "unknown"  # of the first part
+
+    # A .blend to be given away does not tell where the site is; its workspace still does.
+    scene().curecon.present.longitude = 117.25
+    assert tells_where(FOLDER / "mine.blend")
+    assert bpy.ops.curecon.forget_position() == {"FINISHED"} and not bpy.ops.curecon.forget_position.poll()
+    assert not tells_where(FOLDER / "given.blend")
+    assert second["scale"] if "scale" in second else second.users_collection[0]["scale"] == "metres"
+    bpy.ops.curecon.import_workspace(directory=str(FOLDER / "parts"))
+    assert bpy.ops.curecon.forget_position.poll()
 finally:
     curecon_blender.unregister()
 print("CHECKED")

@@ -54,6 +54,7 @@ def write(folder: Path, *, parts: int = 1, scale: str = "metres") -> None:
     origin = GeoPosition(latitude=24.5, longitude=117.25, altitude=310.0)
     made = []
     for part in range(parts):
+        (folder / "sparse" / str(part)).mkdir(parents=True)
         views = []
         for index, name in enumerate(PHOTOS):
             calibration, cam_from_world = camera(index)
