@@ -116,6 +116,7 @@ def build(
         top[WORKSPACE_KEY], top[UNPLACED_KEY] = str(content.folder), True
         for part in content.parts:
             yield from _build_part(part, content, top, pack)
+        yield "Placing it in the scene"
         return _place(find_scene(), content, top)
     except BaseException:  # being closed among them
         sweep()
