@@ -81,6 +81,9 @@ def close() -> None:
     if _job is not None:
         _job.close()
     _job, status.running = None, False
+    for window in bpy.context.window_manager.windows:  # Blender drops a switched-off add-on's operators without a word
+        if window.workspace is not None:
+            window.workspace.status_text_set(None)
 
 
 def line() -> str:
