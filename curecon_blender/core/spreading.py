@@ -47,7 +47,7 @@ WORKER_SHARE = 0.6  # of the memory that Dask allows a worker: above 0.8 it paus
 @contextmanager
 def connect(address: str) -> Iterator[distributed.Client]:
     """A client of the scheduler at `address` ("tcp://host:8786"). Raises SetupError without Dask, DeviceError when
-    nothing answers there."""
+    nothing answers there, or not with this version of CU-Recon."""
     try:
         import distributed
     except ModuleNotFoundError as error:
@@ -65,6 +65,13 @@ def connect(address: str) -> Iterator[distributed.Client]:
             "address out.",
         ) from error
     with client, client.as_current():
+        # The scheduler reads the tasks too, and says of what it cannot read only that "environments differ".
+        try:
+            theirs = client.run_on_scheduler(_code)
+        except Exception as error:  # whatever its Python raised
+            raise _unlike(f"scheduler at {address}", error) from error
+        if theirs != _code():
+            raise _unlike(f"scheduler at {address}", "it has another version of CU-Recon")
         yield client
 
 
@@ -148,11 +155,7 @@ def _checked_workers(client: distributed.Client, workspace: Path, options: Optio
         raise _no_workers(options.scheduler)
     for address, answer in sorted(answers.items()):
         if isinstance(answer, Exception):
-            raise DeviceError(
-                f"The Dask worker {address} cannot make depth maps: {type(answer).__name__}: {answer}",
-                remedy=getattr(answer, "remedy", "Start it with a Python that has CU-Recon's libraries, and with the "
-                               f"folder {Path(__file__).resolve().parents[2]} on its PYTHONPATH."),
-            ) from answer
+            raise _unlike(f"worker {address}", answer) from answer
         for what, digest in ours.items():
             if answer[what] != digest:
                 raise DeviceError(
@@ -163,19 +166,33 @@ def _checked_workers(client: distributed.Client, workspace: Path, options: Optio
     return sorted(answers)
 
 
+def _unlike(who: str, why: object) -> DeviceError:
+    """That a part of the cluster cannot take part; `why` may be an error with its own remedy."""
+    return DeviceError(
+        f"The Dask {who} cannot help with depth maps: {why}",
+        remedy=getattr(why, "remedy", "Start it with the same versions of CU-Recon's libraries and of Dask, and with "
+                       f"the folder {Path(__file__).resolve().parents[2]} on its PYTHONPATH."),
+    )
+
+
+def _code() -> str:
+    """A digest of CU-Recon's own code."""
+    digest = hashlib.sha256()
+    for file in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
 def _seen_here(workspace: Path, options: Options) -> dict[str, str]:
     """Digests of what a task needs, by its name for people. Raises CuReconError when something is not there."""
     choose_device(options.device)
     views = workspace / components_file.FILE_NAME
-    code = hashlib.sha256()
-    for file in sorted(Path(__file__).parent.glob("*.py")):
-        code.update(file.read_bytes())
     writable = views.is_file() and os.access(workspace, os.W_OK)
     return {
         f"workspace {workspace} (or may not write to it)": hashlib.sha256(views.read_bytes()).hexdigest()
         if writable else "",
         f"file of weights ({options.weights or 'the shipped one'})": weights.describe(options.weights)["sha256"],
-        "version of CU-Recon": code.hexdigest(),
+        "version of CU-Recon": _code(),
     }
 
 
