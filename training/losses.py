@@ -1,6 +1,7 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Losses on each level's probability volume: cross-entropy with linear labels, or UniMVSNet's unified focal loss."""
+"""Losses on each level's probability volume: cross-entropy with linear labels, or UniMVSNet's unified focal loss;
+and the refinement's."""
 
 from __future__ import annotations
 
@@ -9,10 +10,12 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from curecon_blender.core.network import LevelOutput
+from curecon_blender.core.refinement import Refined
 
 GAMMA = {2: 2.0, 1: 1.0, 0: 0.0}
 ALPHA = {2: 0.75, 1: 0.5, 0: 0.25}
 LEVEL_WEIGHT = {2: 0.5, 1: 1.0, 0: 2.0}
+INTERVALS = 128  # of the sweep, as BlendedMVS counts its errors
 
 
 def unified_label(t: Tensor, first: Tensor, interval: float, count: int) -> Tensor:
@@ -76,3 +79,17 @@ def total_loss(outputs: list[LevelOutput], t: Tensor, valid: Tensor, representat
         else:
             loss = loss + LEVEL_WEIGHT[level] * unified_focal_loss(output, truth, counted, level)
     return loss
+
+
+def refinement_loss(refined: Refined, t: Tensor, valid: Tensor, interval: float) -> Tensor:
+    """Of the choice between candidates, of the depth, and of how sure it is (where there is no surface, it is wrong).
+
+    `t`, `valid` (B,1,H,W) at full resolution; `interval` in t, of the finest level. A candidate is as likely as it is
+    near, by a Laplace distribution; a large error counts little more than a middling one, as it does in use.
+    """
+    near = refined.probability.clamp_min(1e-8).log() - ((refined.candidates - t).abs() / interval).clamp_max(40)
+    error = (refined.t - t).abs()
+    per_pixel = torch.log1p(error / interval) - 0.5 * torch.logsumexp(near, 1, keepdim=True)
+    right = valid & (error.detach() * INTERVALS < 1)
+    sure = F.binary_cross_entropy_with_logits(refined.sure, right.float())
+    return (per_pixel * valid).sum() / valid.sum().clamp_min(1) + 0.5 * sure

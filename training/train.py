@@ -35,7 +35,7 @@ from curecon_blender.core.network import LCMMVSNet, NetworkConfig, t_from_depth
 from curecon_blender.core.weights import describe, load_network
 from training.dataset import Sample, training_sample
 from training.generator import load
-from training.losses import total_loss
+from training.losses import INTERVALS, refinement_loss, total_loss
 from training.pool import ScenePool
 
 LEARNING_RATE = 1e-3
@@ -186,7 +186,12 @@ def step(
     valid = (depth > 0) & (t >= 0) & (t < 1)
     with torch.autocast(depth.device.type, torch.bfloat16, enabled=bf16):
         outputs = state.network(*(batch[k] for k in ("images", "K", "cam_from_world", "near", "far", "scores")))
+        refined = state.network.refine(batch["images"][:, 0], outputs) if state.network.config.refinement else None
     value = loss(outputs, t, valid, state.network.config.representation)
+    estimate = outputs[-1].t
+    if refined is not None:
+        value = value + refinement_loss(refined, t, valid, outputs[-1].interval)
+        estimate = refined.t
     state.optimiser.zero_grad(set_to_none=True)
     value.backward()
     if dist.is_initialized():
@@ -197,7 +202,7 @@ def step(
     state.steps += 1
     state.samples += len(depth) * (dist.get_world_size() if dist.is_initialized() else 1)
     update_ema(state)
-    error = ((outputs[-1].t - t).abs() * 128)[valid]  # in BlendedMVS's depth intervals
+    error = ((estimate - t).abs() * INTERVALS)[valid]
     pixels = max(len(error), 1)
     return {"loss": value.item(), "epe": error.clamp_max(64).sum().item() / pixels,
             "e1": (error > 1).sum().item() / pixels * 100, "e3": (error > 3).sum().item() / pixels * 100}

@@ -181,21 +181,26 @@ class DepthEstimator:
                 features[0], features[1:], _batch(K).to(self.device), _batch(poses).to(self.device), near, far,
                 _batch(np.array([score for _, score in sources])).to(self.device), hypotheses,
             )
-        depth, confidence = depth_from_t(outputs[-1].t, near, far), self._network.confidence(outputs)
+            t, confidence = self._network.estimate(self._colours(view, tile), outputs)
+        depth = depth_from_t(t, near, far)
         height, width = tile.y1 - tile.y0, tile.x1 - tile.x0
         return (depth[0, 0, :height, :width].cpu().numpy(),
                 confidence[0, 0, :height, :width].cpu().numpy().astype(np.float16))
+
+    def _colours(self, view: View, region: Tile) -> Tensor:
+        """A region's colours (1,3,h,w) in [0, 1], its last column and row repeated up to the sides that the network
+        takes."""
+        rgb = images.read_rgb(self._workspace / view.image)[region.y0 : region.y1, region.x0 : region.x1]
+        x = torch.from_numpy(np.ascontiguousarray(rgb)).to(self.device).permute(2, 0, 1).unsqueeze(0).float() / 255
+        return F.pad(x, (0, -x.shape[3] % MULTIPLE, 0, -x.shape[2] % MULTIPLE), mode="replicate")
 
     def _features_of(self, view: View, region: Tile, whole: bool) -> tuple[Tensor, ...]:
         """Features of a region; those of whole photos are kept within FEATURE_BYTES and a quarter of the budget."""
         if whole and view.name in self._features:
             self._features.move_to_end(view.name)
             return self._features[view.name]
-        rgb = images.read_rgb(self._workspace / view.image)[region.y0 : region.y1, region.x0 : region.x1]
-        x = torch.from_numpy(np.ascontiguousarray(rgb)).to(self.device).permute(2, 0, 1).unsqueeze(0).float() / 255
-        x = F.pad(x, (0, -x.shape[3] % MULTIPLE, 0, -x.shape[2] % MULTIPLE), mode="replicate")
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.dtype == torch.bfloat16):
-            features: tuple[Tensor, ...] = self._network.pyramid(x)
+            features: tuple[Tensor, ...] = self._network.pyramid(self._colours(view, region))
         if whole:
             self._features[view.name] = features
             size = sum(f.numel() * f.element_size() for f in features)

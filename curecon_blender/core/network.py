@@ -21,6 +21,7 @@ from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from .fused_cost_volume import Matching, fused_cost_volume
+from .refinement import Refined, Refinement
 
 LEVELS = (2, 1, 0)  # coarse to fine
 LOCAL = 2  # hypotheses on each side of the likeliest that a linear decoder averages
@@ -42,6 +43,7 @@ class NetworkConfig:
     see the voxel has none: beside an edge the sources that look behind it are outvoted.
     `context`: channels of the reference's own features that each level's regulariser sees beside the cost volume, so
     that it knows where a surface may end and what no source can tell. 0: none, as in the paper.
+    `refinement`: channels of the refinement after the cascade (refinement.py). 0: none, as in the paper.
     """
 
     channels: tuple[int, int, int] = (8, 16, 32)
@@ -55,11 +57,14 @@ class NetworkConfig:
     cosine: bool = True
     visibility: bool = True
     context: int = 4
-    # Confidence: weights of the levels' logit shares, then the constant; fitted by training/export.py.
+    refinement: int = 32
+    # Confidence without refinement: weights of the levels' logit shares, then the constant; fitted by
+    # training/export.py.
     calibration: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 0.0)
 
 
-PAPER = NetworkConfig(hypothesis_step=None, representation="unified", cosine=False, visibility=False, context=0)
+PAPER = NetworkConfig(hypothesis_step=None, representation="unified", cosine=False, visibility=False, context=0,
+                      refinement=0)
 
 
 @dataclass(frozen=True)
@@ -242,10 +247,14 @@ class LCMMVSNet(nn.Module):
         self.alpha = nn.Parameter(torch.ones(3))  # alpha_l of Eq. 2
         if self.config.visibility:
             self.beta = nn.Parameter(torch.full((3,), 2.0))  # how much more a cosine of 1 counts, as a logarithm
+        if self.config.refinement:
+            self.refinement = Refinement(self.config.refinement)
 
     def channels_last(self) -> LCMMVSNet:
         """Lay the convolutions out channels-last in place, which bf16 on CPUs wants; returns self."""
         self.features.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        if self.config.refinement:
+            self.refinement.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.regularisers.to(memory_format=torch.channels_last_3d)  # type: ignore[call-overload]
         return self
 
@@ -375,16 +384,32 @@ class LCMMVSNet(nn.Module):
             outputs.append(LevelOutput(logits, first, interval, *decode(logits, first, interval)))
         return outputs
 
-    def confidence(self, outputs: list[LevelOutput]) -> Tensor:
-        """(B,1,H,W) in [0, 1]: the chance that the depth is within one interval (1/128 of the sweep), a logistic
-        regression on the levels' shares."""
+    def estimate(self, image: Tensor, outputs: list[LevelOutput]) -> tuple[Tensor, Tensor]:
+        """t and confidence in [0, 1], (B,1,H,W) each, from the reference's colours (B,3,H,W) and the levels' outputs.
+
+        Confidence is the chance that the depth is within one interval (1/128 of the sweep).
+        """
+        if self.config.refinement:
+            refined = self.refine(image, outputs)
+            return refined.t, torch.sigmoid(refined.sure)
         *weights, constant = self.config.calibration
-        height, width = outputs[-1].share.shape[2:]
         total = torch.full_like(outputs[-1].share, constant)
-        for level, output in zip(LEVELS, outputs, strict=True):
-            share = F.interpolate(output.share, (height, width), mode="bilinear", align_corners=False)
-            total += weights[level] * torch.logit(share, eps=1e-4)
-        return torch.sigmoid(total)
+        for weight, share in zip(weights, full_shares(outputs).split(1, 1), strict=True):
+            total += weight * torch.logit(share, eps=1e-4)
+        return outputs[-1].t, torch.sigmoid(total)
+
+    def refine(self, image: Tensor, outputs: list[LevelOutput]) -> Refined:
+        """The refinement of the cascade's outputs, which learn nothing from it; arguments as for `estimate`."""
+        refined: Refined = self.refinement(image, outputs[-1].t.detach(), full_shares(outputs), outputs[-1].interval)
+        return refined
+
+
+def full_shares(outputs: list[LevelOutput]) -> Tensor:
+    """The levels' shares at full resolution, (B,3,H,W) by level 0, 1, 2, without gradients."""
+    size = outputs[-1].share.shape[2:]
+    shares = [F.interpolate(output.share.detach(), size, mode="bilinear", align_corners=False)
+              for output in reversed(outputs)]
+    return torch.cat(shares, 1)
 
 
 def relative_pose(cam_from_world: Tensor, ref_from_world: Tensor) -> Tensor:
