@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Turn a training run's averaged weights into the file that ships, with its confidence calibrated.
+"""Turn a training run's averaged weights into the file that ships, without refinement with calibrated confidence.
 
     python -m training.export --run DIR --scenes DIR [--out curecon_blender/weights/lcm_mvsnet.safetensors]
 
-The scenes (`python -m training.generator --held-out`) must be none that training saw: on them a logistic regression
-learns how the levels' shares tell whether a depth is within one interval; in the sky, none is. It prints the errors
-there, too.
+The scenes (`python -m training.generator --held-out`) must be none that training saw: it prints the errors there. For
+a network without refinement, a logistic regression learns on them how the levels' shares tell whether a depth is
+within one interval; in the sky, none is.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from curecon_blender.core.network import LEVELS, LCMMVSNet, t_from_depth
+from curecon_blender.core.network import LCMMVSNet, full_shares, t_from_depth
 from curecon_blender.core.weights import SHIPPED, save_network
 from training.dataset import training_sample
 from training.generator import load
+from training.losses import INTERVALS
 from training.train import batch_tensors, start
 
 SIZE = (384, 288)  # of the calibration's crops
-INTERVALS = 128  # of the sweep, as BlendedMVS counts its errors
 PIXELS = 4000  # a sample
 
 
 @torch.no_grad()
 def observe(network: LCMMVSNet, scenes: list[Path], samples: int, sources: int) -> tuple[Tensor, Tensor]:
-    """Logit shares (P,3) by level 0, 1, 2, and the error in intervals (P,), infinite where there is no surface within
-    the sweep, of random pixels of the scenes."""
+    """Logit shares (P,3) by level 0, 1, 2, and the estimate's error in intervals (P,), infinite where there is no
+    surface within the sweep, of random pixels of the scenes."""
     rng = np.random.default_rng(0)
     features: list[Tensor] = []
     errors: list[Tensor] = []
@@ -45,13 +45,12 @@ def observe(network: LCMMVSNet, scenes: list[Path], samples: int, sources: int) 
         batch = batch_tensors([sample], torch.device("cpu"))
         with torch.autocast("cpu", torch.bfloat16):
             outputs = network(*(batch[k] for k in ("images", "K", "cam_from_world", "near", "far", "scores")))
+            estimate, _ = network.estimate(batch["images"][:, 0], outputs)
         t = t_from_depth(batch["depth"].clamp_min(1e-3), batch["near"], batch["far"])
         surface = (batch["depth"] > 0) & (t >= 0) & (t < 1)
         chosen = torch.from_numpy(rng.integers(surface.numel(), size=PIXELS))
-        by_level = dict(zip(LEVELS, outputs, strict=True))
-        shares = [F.interpolate(by_level[level].share, SIZE[::-1], mode="bilinear") for level in range(3)]
-        features.append(torch.stack([torch.logit(s, eps=1e-4).flatten()[chosen] for s in shares], 1))
-        error = torch.where(surface, (outputs[-1].t - t).abs() * INTERVALS, torch.inf)
+        features.append(torch.logit(full_shares(outputs), eps=1e-4)[0].flatten(1).T[chosen])
+        error = torch.where(surface, (estimate - t).abs() * INTERVALS, torch.inf)
         errors.append(error.flatten()[chosen])
     return torch.cat(features), torch.cat(errors)
 
@@ -88,7 +87,8 @@ def main() -> None:
     state = start(options.run, torch.device("cpu"))
     network = state.ema.eval()
     features, errors = observe(network, scenes, options.samples, options.sources)
-    network.config = replace(network.config, calibration=fit(features, (errors < 1).float()))
+    if not network.config.refinement:  # which learns how sure it is
+        network.config = replace(network.config, calibration=fit(features, (errors < 1).float()))
     errors = errors[errors.isfinite()]
     measured = {"epe": errors.mean().item(), "e1": (errors > 1).float().mean().item() * 100,
                 "e3": (errors > 3).float().mean().item() * 100}
