@@ -5,7 +5,8 @@
     python -m training.ablation --scenes TRAINING --held-out SCENES --out ablation.jsonl [--only NAME ...]
 
 Every rival starts from nothing, sees the same `--samples` crops of 192x128 with three sources, and is then measured on
-the same held-out crops, over the pixels that at least two sources see. Rivals whose line is in the file are left alone.
+the same held-out crops, over the pixels that at least two sources see, all without refinement but where a rival names it.
+Rivals whose line is in the file are left alone.
 """
 
 from __future__ import annotations
@@ -163,7 +164,7 @@ def tensors(sample: Sample, rival: Rival) -> dict[str, Tensor]:
 def run(rival: Rival, scenes: list[Path], held_out: list[Path], samples: int, crops: int) -> dict[str, float]:
     """Train one rival and measure it; errors in 1/128 of the sweep's inverse depth, whatever the rival sweeps in."""
     torch.manual_seed(0)
-    network = LCMMVSNet(NetworkConfig(**rival.config)).channels_last()
+    network = LCMMVSNet(NetworkConfig(**{"refinement": 0, **rival.config})).channels_last()
     state = train.State(network, network, torch.optim.Adam(network.parameters(), lr=train.LEARNING_RATE))
     began = time.process_time()
     with changed(rival):
