@@ -17,6 +17,7 @@ from ..core import export
 from ..core.errors import WorkspaceError
 from ..core.export import Provenance
 from ..core.files import disk_errors
+from ..core.reading import build
 from ..core.types import GeoPosition
 from . import surface
 
@@ -145,9 +146,15 @@ def _provenance(item: bpy.types.Object, choices: Choices) -> Provenance:
     """What the importer left on the object."""
     origin = None
     if choices.position and "origin_latitude" in item:
-        origin = GeoPosition(
-            latitude=item["origin_latitude"], longitude=item["origin_longitude"], altitude=item["origin_altitude"],
-        )
+        try:
+            origin = build(GeoPosition, {
+                name: item.get(f"origin_{name}") for name in ("latitude", "longitude", "altitude")
+            })
+        except ValueError as error:
+            raise WorkspaceError(
+                f"The GPS position of {item.name} is none ({error}).",
+                remedy="Untick GPS Position, or import the workspace again.",
+            ) from error
     return Provenance(
         scale=item.get("scale", "unknown"), north=bool(item.get("north", False)), origin=origin,
         licence=choices.licence, credit=choices.credit,
@@ -157,7 +164,7 @@ def _provenance(item: bpy.types.Object, choices: Choices) -> Provenance:
 def _lines(about: dict[str, Provenance]) -> list[str]:
     if len(about) == 1:
         return next(iter(about.values())).lines()
-    return [f"{name}: {line}" for name, record in about.items() for line in record.lines()]
+    return [f"{' '.join(name.split())}: {line}" for name, record in about.items() for line in record.lines()]
 
 
 def _run(operator: bpy.types.Operator, path: Path, **arguments: object) -> None:

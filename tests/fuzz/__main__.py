@@ -15,6 +15,8 @@ from .runner import fuzz
 from .targets import TARGETS
 
 SLICE_SECONDS = 60.0  # for one target before the next has its turn
+READERS = [f"curecon_blender.core.{name}" for name in
+           ("alignment", "colmap_model", "components", "cost", "depth", "fusion", "photos", "pipeline", "weights")]
 STALLED_SECONDS = 150.0  # without a new case: native code that the alarm cannot reach
 
 
@@ -30,13 +32,15 @@ def main() -> int:
     slice_seconds = min(SLICE_SECONDS, 60 * options.minutes / len(chosen))
     totals = {name: {"cases": 0, "seconds": 0.0, "findings": 0} for name in chosen}
     turn = 0
+    context = multiprocessing.get_context(
+        "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn")
+    context.set_forkserver_preload(["tests.fuzz.runner", *READERS])  # loading torch takes longer than a thousand cases
     while time.monotonic() < until:
         name = chosen[turn % len(chosen)]
         folder = options.folder / f"turn_{options.seed + turn}"
         folder.mkdir(parents=True, exist_ok=True)
         started = time.monotonic()
-        process = multiprocessing.get_context("spawn").Process(
-            target=fuzz, args=(name, slice_seconds, 1000 * (options.seed + turn), folder))
+        process = context.Process(target=fuzz, args=(name, slice_seconds, 1000 * (options.seed + turn), folder))
         process.start()
         while process.is_alive():
             process.join(1)
