@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from curecon_blender.core import cost
+from curecon_blender.core import cost, images
 from curecon_blender.core.messages import Reporter
 from curecon_blender.core.options import PRESETS, STAGES, Options
 from curecon_blender.core.types import GeoPosition, Photo
@@ -112,3 +112,10 @@ def test_a_large_site_needs_no_more_memory_than_its_mesh_of_a_million_faces(tmp_
     options = Options(photos=None, workspace=tmp_path, quality="preview", memory_gib=4.0, until="texture")
     memory = [cost.predict(site(count, 1600, 1200), options, REFERENCE)["memory_gib"] for count in (30, 240, 2000)]
     assert memory[0] < 4 < memory[1] == memory[2] < 8
+
+
+def test_many_cores_do_not_read_huge_photos_all_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert [images.readers(megapixels * 1_000_000, 16) for megapixels in (0, 20, 48, 100, 500)] == [16, 16, 11, 5, 1]
+    monkeypatch.setattr(cost.matching, "threads", lambda: 16)
+    options = Options(photos=None, workspace=tmp_path, quality="preview", memory_gib=2.0)
+    assert cost.predict(site(20, 11664, 8750), options, REFERENCE)["memory_gib"] < 8

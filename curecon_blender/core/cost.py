@@ -20,7 +20,7 @@ import numpy as np
 import psutil
 import torch
 
-from . import depth, matching, meshing
+from . import depth, images, matching, meshing
 from .files import write_json
 from .options import PRESETS, STAGES, SURFACE_STAGES, Options
 from .reading import Within, build, read_json
@@ -161,7 +161,9 @@ def _peak_bytes(photos: tuple[Photo, ...], options: Options) -> dict[str, float]
     pixels = [_pixels(photo, size) for photo in photos]
     threads = matching.threads()
     picture = EXTRACTION_BYTES_PER_PIXEL * max(_pixels(photo, options.preset.sfm_image_size) for photo in photos)
-    full = max(photo.width * photo.height for photo in photos) * 3
+    full = max(photo.width * photo.height for photo in photos)
+    readers = images.readers(full, threads)
+    full *= images.DECODING_BYTES
     budget = options.memory_gib * 2**30 if options.memory_gib else 0.6 * psutil.virtual_memory().available
     per_pixel = depth.bytes_per_pixel(_hypotheses(photos, size))
     per_pixel += options.source_views * depth.BYTES_PER_SOURCE_PIXEL
@@ -169,8 +171,9 @@ def _peak_bytes(photos: tuple[Photo, ...], options: Options) -> dict[str, float]
     features = min(depth.FEATURE_BYTES, budget / 4, sum(pixels) * FEATURE_BYTES_PER_PIXEL)
     meshed = min(sum(pixels), PIXELS_A_POINT * meshing.POINTS_A_FACE * options.max_faces)
     peaks = {
-        "photos": threads * full, "sparse": threads * max(picture, MATCHING_BYTES * options.preset.max_features**2),
-        "views": threads * full, "depth": tile + features, "fusion": 40 * max(pixels),
+        "photos": readers * full,
+        "sparse": max(readers * (full + picture), threads * MATCHING_BYTES * options.preset.max_features**2),
+        "views": 1.2 * full, "depth": tile + features, "fusion": 40 * max(pixels),
         "mesh": meshed * MESH_BYTES_PER_PIXEL, "texture": meshed * MESH_BYTES_PER_PIXEL / 2,
     }
     return {stage: LIBRARIES_BYTES + peak for stage, peak in peaks.items()}

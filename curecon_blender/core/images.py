@@ -26,6 +26,8 @@ MAX_PIXELS = 500_000_000  # four times the largest drone and phone cameras; abov
 # A file of a few kilobytes can unpack to gigabytes. No photo is packed that tightly: a black one has 100 pixels a byte.
 BOMB_PIXELS, BOMB_PIXELS_PER_BYTE = 50_000_000, 250
 MOST_SCANS = 200  # of a progressive JPEG; cameras write ten, and each costs as much as a decoding of the whole
+DECODING_BYTES = 12  # of memory for each pixel of a picture while it is read, measured at 100 megapixels
+DECODING_MEMORY = 6 << 30  # bytes for all that are read at the same time
 
 # Pillow refuses pictures above 179 megapixels, as decompression bombs; MAX_PIXELS takes its place.
 Image.MAX_IMAGE_PIXELS = None
@@ -53,6 +55,11 @@ def read_rgb(path: Path, max_size: int | None = None) -> np.ndarray:
     """
     with open_image(path) as image:
         return decode(image, path, max_size)
+
+
+def readers(pixels: int, most: int) -> int:
+    """How many threads may each read a picture of so many pixels at the same time, at most `most`."""
+    return max(1, min(most, DECODING_MEMORY // (DECODING_BYTES * max(pixels, 1))))
 
 
 @contextmanager

@@ -28,7 +28,7 @@ import torch
 from .errors import WorkspaceError
 from .files import disk_errors, write_json
 from .georeference import SHORTEST_BASELINE, gimbal_rotation, gps_enu
-from .images import read_rgb
+from .images import read_rgb, readers
 from .reading import build, read_json
 from .types import Photo
 
@@ -150,7 +150,9 @@ def extract_features(
         return matrix, descriptors
 
     missing = missing_features(database, photos)
-    with closing(_in_order(extract, missing, _extraction_workers(settings.image_size))) as extracted:
+    largest = max((photo.width * photo.height for photo in missing), default=0)
+    workers = readers(largest, _extraction_workers(settings.image_size))
+    with closing(_in_order(extract, missing, workers)) as extracted:
         for photo, (keypoints, descriptors) in extracted:
             camera = cameras[_camera_key(photo)]
             with pycolmap.DatabaseTransaction(database):

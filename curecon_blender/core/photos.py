@@ -53,7 +53,8 @@ def check_photos(source: Path, reporter: Reporter) -> PhotoSet:
     """
     paths = find_photos(source)
     results: list[Photo | SkippedPhoto] = []
-    workers = ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="photos")
+    threads = images.readers(max(map(_pixels, paths)), os.cpu_count() or 1)
+    workers = ThreadPoolExecutor(threads, thread_name_prefix="photos")
     try:
         for result in workers.map(_examine, paths):
             results.append(result)
@@ -170,6 +171,15 @@ def _natural(name: str) -> list[tuple[int, str]]:
     """A sort key that puts DJI_2 before DJI_10."""
     parts = re.split(r"(\d+)", name.casefold())  # text at even places, digits at odd ones
     return [(int(part), "") if place % 2 else (0, part) for place, part in enumerate(parts)]
+
+
+def _pixels(path: Path) -> int:
+    """What a photo's header promises; 0 for one that will be left out."""
+    try:
+        with images.open_image(path) as image:
+            return image.width * image.height
+    except PhotoError:
+        return 0
 
 
 def _examine(path: Path) -> Photo | SkippedPhoto:
