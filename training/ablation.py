@@ -5,8 +5,8 @@
     python -m training.ablation --scenes TRAINING --held-out SCENES --out ablation.jsonl [--only NAME ...]
 
 Every rival starts from nothing, sees the same `--samples` crops of 192x128 with three sources, and is then measured on
-the same held-out crops, over the pixels that at least two sources see, all without refinement but where a rival names it.
-Rivals whose line is in the file are left alone.
+the same held-out crops, over the pixels that at least two sources see, all of them without refinement. Rivals whose
+line is in the file are left alone.
 """
 
 from __future__ import annotations
