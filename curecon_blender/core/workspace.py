@@ -84,6 +84,12 @@ class Workspace:
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._lock.close()  # the operating system lets go of the lock, as it does when the process is killed
+        if value is not None and not self.root.is_dir():  # whatever else was found missing, this is why
+            raise WorkspaceError(
+                f"The workspace {self.root} is gone: it was moved or deleted, or its drive does not answer.",
+                remedy="Connect the drive again or put the folder back, then run it again: finished work is kept.",
+                path=self.root,
+            ) from value
 
     def record(self, stage: str) -> StageRecord | None:
         """The stage's done-marker, if it has one and all its files are still there."""
