@@ -517,6 +517,24 @@ def test_a_network_beyond_reason(own: Path, keys: tuple[str, ...], value: Any) -
     assert error.path is not None
 
 
+def test_weights_of_a_terabyte_are_not_read(own: Path) -> None:
+    with open(own, "r+b") as file:
+        file.truncate(1 << 40)  # a hole
+    refused(WeightsError, own, lambda: weights.load_network(own))
+
+
+def test_no_more_memory_is_asked_for_than_a_file_has(own: Path) -> None:
+    """Found by fuzzing: reading at most N bytes takes N bytes at once."""
+    import tracemalloc
+
+    tracemalloc.start()
+    weights.load_network(own)
+    weights.describe(own)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 32 << 20
+
+
 def test_weights_that_are_no_numbers(own: Path) -> None:
     import safetensors.torch
 

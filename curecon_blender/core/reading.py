@@ -90,9 +90,20 @@ def is_file_name(name: str) -> bool:
             and name.strip(". ") != "" and _RESERVED.match(name) is None)
 
 
+def read_bytes(path: Path, most: int) -> bytes:
+    """A file of at most `most` bytes."""
+    if not path.is_file():  # a pipe would never come to its end
+        raise FileNotFoundError(f"{path} does not exist")
+    with open(path, "rb") as file:
+        size = os.fstat(file.fileno()).st_size
+        if size > most:
+            raise ValueError(f"it is larger than {most >> 20} MiB")
+        return file.read(size)  # asks for that much at once
+
+
 def read_json(path: Path, most: int = MOST_JSON) -> Any:
     """What a JSON file of at most `most` bytes holds; NaN and Infinity, which JSON does not know, are refused."""
-    return parse_json(_content(path, most).decode())
+    return parse_json(read_bytes(path, most).decode())
 
 
 def parse_json(text: str) -> Any:
@@ -232,16 +243,6 @@ def _member(archive: zipfile.ZipFile, name: str, expected: Expected) -> np.ndarr
         raise ValueError(f"{name} is cut short")
     flat = np.frombuffer(content, kind)
     return flat.reshape(shape[::-1]).T if by_column else flat.reshape(shape)
-
-
-def _content(path: Path, most: int) -> bytes:
-    if not path.is_file():  # a pipe would never come to its end
-        raise FileNotFoundError(f"{path} does not exist")
-    with open(path, "rb") as file:
-        content = file.read(most + 1)
-    if len(content) > most:
-        raise ValueError(f"it is larger than {most >> 20} MiB")
-    return content
 
 
 def _no_number(name: str) -> float:

@@ -15,7 +15,7 @@ import torch
 from .errors import WeightsError
 from .files import write_json
 from .network import LCMMVSNet, NetworkConfig
-from .reading import build, read_json
+from .reading import build, read_bytes, read_json
 
 SHIPPED = Path(__file__).parent.parent / "weights" / "lcm_mvsnet.safetensors"
 _MOST_BYTES = 1 << 30  # of a weights file; the shipped ones have 2 MB
@@ -49,10 +49,11 @@ def load_network(path: Path | None = None) -> LCMMVSNet:
     weights = path or SHIPPED
     record = describe(path)
     try:
-        with open(weights, "rb") as file:
-            content = file.read(_MOST_BYTES + 1)
+        content = read_bytes(weights, _MOST_BYTES)
     except OSError as error:
         raise WeightsError(f"The network's weights {weights} are missing.", remedy=_REMEDY, path=weights) from error
+    except ValueError as error:
+        raise WeightsError(f"The network's weights {weights}: {error}.", remedy=_REMEDY, path=weights) from error
     if hashlib.sha256(content).hexdigest() != record["sha256"]:
         raise WeightsError(
             f"The network's weights {weights} are corrupted (their checksum is wrong).", remedy=_REMEDY, path=weights
