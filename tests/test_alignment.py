@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import pytest
 from curecon_blender.core import alignment, measuring
 from curecon_blender.core.alignment import Adjustment, FrameError
 from curecon_blender.core.errors import WorkspaceError
-from curecon_blender.core.types import Frame
+from curecon_blender.core.types import Frame, GeoPosition
 
 WHEN = datetime(2026, 5, 4, 3, 2, 1)
 UNKNOWN = Frame(scale="unknown", up="gravity", note="No GPS.")
@@ -22,6 +23,22 @@ UP = np.array([0.0, 0, 9])
 
 def moved(adjustment: Adjustment, points: np.ndarray) -> np.ndarray:
     return points @ adjustment.matrix[:3, :3].T
+
+
+def test_the_ground_comes_to_zero_and_the_origin_keeps_its_place_on_earth() -> None:
+    origin = GeoPosition(latitude=24.0, longitude=117.0, altitude=530.0)
+    scaled = alignment.with_length(Adjustment(), np.zeros(3), UP, 18.0, sigma=0.01, when=WHEN)
+    ground = np.array([[3.0, 4, -8]])  # -16 as it is scaled
+    down = alignment.with_ground(scaled, -16.0, when=WHEN)
+    np.testing.assert_allclose(down.matrix @ [3, 4, -8, 1], [6, 8, 0, 1])
+    frame = alignment.adjusted_frame(replace(UNKNOWN, origin=origin), down)
+    assert frame.origin is not None and frame.origin.altitude == pytest.approx(514)
+    assert "Z = 0 at the cloud's lowest wide level, 2026-05-04" in frame.note
+    # A later distance is picked in the lifted frame, and the ground stays.
+    later = alignment.with_length(down, np.array([6.0, 8, 0]), np.array([6.0, 8, 5]), 10.0, sigma=0.01, when=WHEN)
+    np.testing.assert_allclose(later.matrix @ [*ground[0], 1], [12, 16, 0, 1])
+    np.testing.assert_allclose(later.of(alignment.SCALE).points[0], ground[0])
+    assert alignment.from_json(alignment.to_json(later)).lift == later.lift
 
 
 def tilted() -> np.ndarray:

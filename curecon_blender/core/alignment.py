@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A component's frame put right by what somebody measured on it: one similarity that scales, levels and turns.
 
-It turns and scales about the frame's origin, so the origin keeps its geodetic position. `adjustment.json` keeps it
+It turns and scales about the frame's origin, which it may lift or lower: the origin keeps its latitude and longitude,
+and its altitude is known. `adjustment.json` keeps it
 beside the component's frame.json, so that a model found anew, whose frame is another, does not inherit it.
 """
 
@@ -24,7 +25,7 @@ from .types import Frame
 
 FILE_NAME = "adjustment.json"
 FORMAT = 1
-SCALE, LEVEL, NORTH = "scale", "level", "north"
+SCALE, LEVEL, NORTH, GROUND = "scale", "level", "north", "ground"
 THINNEST = 0.02  # height of a triangle over its longest side: points more in line than this span no plane
 STEEPEST_WALL = 45.0  # degrees that a wall's normal may rise: steeper ones belong to floors
 MEDIAN_OF_3D = 1.538  # median distance of a normal deviate in three dimensions, in standard deviations of one
@@ -40,12 +41,12 @@ class FrameError(CuReconError):
 class Measured:
     """What one step of an adjustment rests on.
 
-    `kind` is SCALE, LEVEL or NORTH; `value` the known length (metres), the bearing or the turn (degrees clockwise), 0
-    for LEVEL; `how` says in words what was measured; `points` (x, y, z each) were picked, in the frame as it was
-    reconstructed; `sigma` is the relative standard deviation of the scale; `when` is local time, ISO 8601.
+    `kind` is SCALE, LEVEL, NORTH or GROUND; `value` the known length (metres), the bearing or the turn (degrees
+    clockwise), else 0; `how` says in words what was measured; `points` (x, y, z each) were picked, in the frame as it
+    was reconstructed; `sigma` is the relative standard deviation of the scale; `when` is local time, ISO 8601.
     """
 
-    kind: Annotated[str, OneOf(SCALE, LEVEL, NORTH)]
+    kind: Annotated[str, OneOf(SCALE, LEVEL, NORTH, GROUND)]
     value: Annotated[float, Within(-FARTHEST, FARTHEST)]
     how: str
     when: str
@@ -56,31 +57,34 @@ class Measured:
 
 @dataclass(frozen=True, kw_only=True)
 class Adjustment:
-    """adjusted = scale * rotation @ reconstructed. `rotation` is (3,3); the last measurement of each kind is kept."""
+    """adjusted = scale * rotation @ reconstructed + (0, 0, lift). `rotation` is (3,3); `lift` is in the unit of the
+    adjusted frame; the last measurement of each kind is kept."""
 
     scale: Annotated[float, Within(1e-9, FARTHEST)] = 1.0
     rotation: Annotated[np.ndarray, Shape(3, 3)] = field(default_factory=lambda: np.eye(3))
+    lift: Annotated[float, Within(-FARTHEST, FARTHEST)] = 0.0
     measured: tuple[Measured, ...] = ()
 
     @property
     def matrix(self) -> np.ndarray:
         """adjusted_from_reconstructed (4,4)."""
         matrix = np.eye(4)
-        matrix[:3, :3] = self.scale * self.rotation
+        matrix[:3, :3], matrix[2, 3] = self.scale * self.rotation, self.lift
         return matrix
 
     def of(self, kind: str) -> Measured | None:
         return next((step for step in self.measured if step.kind == kind), None)
 
-    def _with(self, step: Measured, points: np.ndarray, *, scale: float = 1.0, turn: np.ndarray | None = None
-              ) -> Adjustment:
-        """This one followed by `scale` and `turn` (3,3); `points` (N,3) are in the frame as adjusted so far."""
-        picked = np.linalg.solve(self.scale * self.rotation, points.T).T if len(points) else points
-        step = replace(step, points=tuple((float(x), float(y), float(z)) for x, y, z in picked))
+    def _with(self, step: Measured, points: np.ndarray, *, scale: float = 1.0, turn: np.ndarray | None = None,
+              lift: float = 0.0) -> Adjustment:
+        """This one followed by `scale` and `turn` (3,3) about the origin and by `lift`; `points` (N,3) are in the frame
+        as adjusted so far."""
+        reconstructed = np.linalg.solve(self.scale * self.rotation, (points - [0, 0, self.lift]).T).T
+        step = replace(step, points=tuple((float(x), float(y), float(z)) for x, y, z in reconstructed))
         rotation = self.rotation if turn is None else turn @ self.rotation
         u, _, vt = np.linalg.svd(rotation)  # rounding must not add up to a shear
         return Adjustment(
-            scale=self.scale * scale, rotation=u @ vt,
+            scale=self.scale * scale, rotation=u @ vt, lift=self.lift * scale + lift,
             measured=(*(kept for kept in self.measured if kept.kind != step.kind), step),
         )
 
@@ -145,19 +149,30 @@ def with_turn(adjustment: Adjustment, degrees: float, *, north: bool, when: date
     return adjustment._with(step, np.zeros((0, 3)), turn=_about_z(degrees))
 
 
+def with_ground(adjustment: Adjustment, height: float, *, when: datetime) -> Adjustment:
+    """Lowered by `height`, of the ground above z = 0 as adjusted so far."""
+    step = Measured(kind=GROUND, value=0.0, how="the cloud's lowest wide level", when=_iso(when))
+    return adjustment._with(step, np.zeros((0, 3)), lift=-height)
+
+
 # ---- what is then known
 
 def adjusted_frame(frame: Frame, adjustment: Adjustment) -> Frame:
     """The frame's record with what was measured in place of what the reconstruction knew."""
-    scale, level, north = (adjustment.of(kind) for kind in (SCALE, LEVEL, NORTH))
+    scale, level, north, ground = (adjustment.of(kind) for kind in (SCALE, LEVEL, NORTH, GROUND))
     turned = "North from" if north is not None and north.valid else "Turned by"
     said = [f"{lead} {describe(step)}, {step.when[:10]}."
-            for lead, step in (("Scale from", scale), ("Level from", level), (turned, north)) if step is not None]
+            for lead, step in (("Scale from", scale), ("Level from", level), (turned, north), ("Z = 0 at", ground))
+            if step is not None]
     if not said:
         return frame
+    origin = frame.origin
+    if origin is not None:
+        origin = replace(origin, altitude=origin.altitude - adjustment.lift)
     return replace(
         frame, scale=frame.scale if scale is None else "metres", up=frame.up if level is None else "measured",
-        north=frame.north if north is None else north.valid, note=" ".join([*said, f"Reconstructed: {frame.note}"]),
+        north=frame.north if north is None else north.valid, origin=origin,
+        note=" ".join([*said, f"Reconstructed: {frame.note}"]),
     )
 
 
@@ -266,6 +281,7 @@ def _built(fields: Any) -> Adjustment:
 
 def _fields(adjustment: Adjustment) -> dict[str, Any]:
     return {"format": FORMAT, "scale": adjustment.scale, "rotation": adjustment.rotation.tolist(),
+            "lift": adjustment.lift,
             "measured": [asdict(step) for step in adjustment.measured]}
 
 

@@ -12,6 +12,7 @@ from . import (
     choose_photos,
     cloud_points,
     export_surface,
+    frame_ground,
     frame_level,
     frame_north,
     frame_position,
@@ -34,7 +35,7 @@ CLASSES = (
     *build_surface.CLASSES, *export_surface.CLASSES, *present_elevations.CLASSES, *present_moves.CLASSES,
     *present_renders.CLASSES, *present_photos.CLASSES,
     *present_sun.CLASSES,
-    *frame_scale.CLASSES, *frame_level.CLASSES, *frame_north.CLASSES, *frame_reset.CLASSES,
+    *frame_scale.CLASSES, *frame_level.CLASSES, *frame_north.CLASSES, *frame_ground.CLASSES, *frame_reset.CLASSES,
     *frame_position.CLASSES, *measure.CLASSES,
     *cloud_points.CLASSES, *self_check.CLASSES,
 )

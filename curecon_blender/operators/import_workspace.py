@@ -12,6 +12,7 @@ from contextlib import closing
 from pathlib import Path
 
 import bpy
+from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import BoolProperty, StringProperty
 
 from ..scene import cameras, history, surface, viewport, workspace
@@ -69,13 +70,20 @@ def _show(
         viewport.show_texture(context, textured=imported.textured)
     if frame and (found := [*imported.surfaces, *imported.clouds]):
         viewport.frame(context, found[0])
-    faces = f", {imported.faces:,} faces" if imported.surfaces else ""
-    report = f"{imported.points:,} points{faces} and {len(imported.cameras)} cameras are in the scene."
+    if imported.surfaces:
+        said = rpt_("{:,} points, {:,} faces and {:,} cameras are in the scene.").format(
+            imported.points, imported.faces, len(imported.cameras))
+    else:
+        said = rpt_("{:,} points and {:,} cameras are in the scene.").format(imported.points, len(imported.cameras))
+    sentences = [said]
+    if imported.cleared:
+        sentences.append(rpt_("The new file's cube, camera and light made room."))
     if imported.missing_pictures:
-        report += f" {imported.missing_pictures} pictures are missing in {folder}."
+        sentences.append(rpt_("{:,} pictures are missing in {}.").format(imported.missing_pictures, folder))
     if imported.stale_edits:
-        report += " The cloud is new: points that were taken out of the earlier one are taken out no more."
-    return report
+        sentences.append(
+            rpt_("The cloud is new: points that were taken out of the earlier one are taken out no more."))
+    return " ".join(sentences)
 
 
 class CURECON_OT_import_workspace(StepsOperator, bpy.types.Operator):

@@ -47,6 +47,7 @@ class CURECON_PT_frame(Panel, bpy.types.Panel):
         row = column.row(align=True)
         row.operator("curecon.frame_north", text="North", icon="ORIENTATION_GLOBAL")
         row.operator("curecon.frame_turn", icon="LOOP_FORWARDS")
+        column.operator("curecon.frame_ground", icon="EMPTY_SINGLE_ARROW")
         column.operator("curecon.frame_reset", icon="LOOP_BACK")
         said = "This .blend holds the site's GPS position." if frame.has_position(context.scene) else (
             "This .blend holds no GPS position.")

@@ -20,6 +20,9 @@ HASH_BITS = 24
 LARGEST_RADIUS = 1.5  # times the median: a lone point is no surface, and a big disc would hide what is behind it
 CLOSING = 1.2  # discs of radius 1.2 / sqrt(density) leave 1 % of a randomly sampled surface open
 SUBJECT = 2.5  # times the median distance from the middle: what a view holds
+SUBJECT_CELLS = 48  # along the longest side, for the density there
+THIN = 1 / 3  # of the median density: what is measured less is land about the subject, or strays
+SUBJECT_SAMPLE = 200_000  # points that suffice to tell what a view should hold
 SPACING_CELLS = 64  # along the longest side, for the spacing estimate
 SPACING_SAMPLES = 48
 
@@ -161,24 +164,51 @@ def positions(data: bpy.types.PointCloud | bpy.types.Mesh) -> np.ndarray:
 
 
 def about_the_subject(points: np.ndarray) -> np.ndarray:
-    """Those of points (N,3) that a view should hold: photos show far land, too, and a view of all of it would show no
-    building."""
+    """Which (N,) bool of points (N,3) of a cloud a view should hold: photos show far land, too, and a view of all of it
+    would show no building. What the photos are about is in the middle, and densely measured."""
     if not len(points):
-        return points
+        return np.zeros(0, bool)
     distance = np.linalg.norm(points - np.median(points, axis=0), axis=1)
-    kept: np.ndarray = points[distance <= SUBJECT * np.median(distance)]
+    kept: np.ndarray = distance <= SUBJECT * np.median(distance)
+    low, high = np.percentile(points[kept], [5, 95], axis=0)
+    cell = max(float((high - low).max()) / SUBJECT_CELLS, 1e-9)
+    cells = np.floor((points[kept] - low) / cell).astype(np.int64)
+    keys = (cells[:, 0] << 42) + (cells[:, 1] << 21) + cells[:, 2]
+    _, cell_of, counts = np.unique(keys, return_inverse=True, return_counts=True)
+    density = counts[cell_of]
+    kept[kept] = density >= THIN * np.median(density)
     return kept
 
 
+def subject(item: bpy.types.Object) -> np.ndarray:
+    """A fair sample (N,3) of places in the world that tell what a cloud or a surface is about.
+
+    A surface has its vertices where it is crooked, not where many photos measured it: so its own cloud tells, as far as
+    the surface reaches.
+    """
+    places = cloud_places = positions(item.data)
+    if item.type == "MESH":
+        for other in (other for holder in item.users_collection for other in holder.objects):
+            if other.type == "POINTCLOUD" and CLOUD_KEY in other.data:
+                cloud_places = positions(other.data)
+                break
+    sample = cloud_places[:: max(1, len(cloud_places) // SUBJECT_SAMPLE)]
+    if cloud_places is not places and len(places):
+        sample = sample[np.all((sample >= places.min(axis=0)) & (sample <= places.max(axis=0)), axis=1)]
+    if not len(sample):
+        sample = places[:: max(1, len(places) // SUBJECT_SAMPLE)]
+    matrix = np.array(item.matrix_world)
+    found: np.ndarray = sample[about_the_subject(sample)].astype(float) @ matrix[:3, :3].T + matrix[:3, 3]
+    return found
+
+
 def subject_bounds(item: bpy.types.Object) -> tuple[np.ndarray, np.ndarray] | None:
-    """Lowest and highest x, y, z (3,) in the world of what most of a cloud or a surface is about; None for one without
+    """Lowest and highest x, y, z (3,) in the world of what a cloud or a surface is about; None for one without
     points."""
-    places = positions(item.data)
+    places = subject(item)
     if not len(places):
         return None
-    matrix = np.array(item.matrix_world)
-    sample = places[:: max(1, len(places) // 100_000)] @ matrix[:3, :3].T + matrix[:3, 3]
-    low, high = np.percentile(about_the_subject(sample), [2, 98], axis=0)
+    low, high = np.percentile(places, [1, 99], axis=0)
     return low, high
 
 

@@ -11,12 +11,15 @@ import numpy as np
 from mathutils import Vector
 
 from ..core import footprint
+from ..core.alignment import FrameError
 from ..core.errors import SurfaceError
-from .points import about_the_subject
+from . import points
 from .surface import is_surface, surfaces_of
 from .workspace import clouds_of
 
-SAMPLE = 200_000  # points that suffice for a box
+LEVEL = 0.9  # z of a unit normal is above it where the ground is
+LEVELS = 64  # between the lowest and the highest of a site, to look for the ground's
+WIDE = 0.5  # times as many points as on the widest level: the ground has them
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,15 +77,14 @@ def box(scene: bpy.types.Scene, turned_by: float = 0.0) -> Box:
         raise SurfaceError(
             "There is nothing to present in the scene.", remedy="Reconstruct photos or import a workspace first."
         )
-    points = _world_points(item)
-    if not len(points):
+    places = points.subject(item)
+    if not len(places):
         raise SurfaceError(f"{item.name} is empty.", remedy="Import its workspace again.")
-    points = about_the_subject(points)
     direction = _walls_of(item) if is_surface(item) else None
-    turn = turned_by + (footprint.rectangle_direction(points[:, :2]) if direction is None else direction)
-    plan = footprint.turned(points[:, :2], turn)
+    turn = turned_by + (footprint.rectangle_direction(places[:, :2]) if direction is None else direction)
+    plan = footprint.turned(places[:, :2], turn)
     low, high = np.percentile(plan, [1, 99], axis=0)
-    inside = points[np.all((plan >= low) & (plan <= high), axis=1), 2]
+    inside = places[np.all((plan >= low) & (plan <= high), axis=1), 2]
     bottom, top = np.percentile(inside, 1), inside.max()  # a spire is few points and must not be cut off
     middle = footprint.turned(((low + high) / 2)[None], -turn)[0]
     return Box(
@@ -102,6 +104,30 @@ def place(scene: bpy.types.Scene) -> Place:
     return Place(north=bool(holder["north"]), origin=origin)
 
 
+def ground(cloud: bpy.types.Object, world_from_cloud: np.ndarray) -> float:
+    """Height in the world of the lowest level that spreads wide in a cloud, which stands there by a similarity (4,4).
+    Raises FrameError when none does."""
+    data, (slope, high) = cloud.data, (world_from_cloud[2, :3], world_from_cloud[2, 3])
+    normals = np.empty((len(data.points), 3), np.float32)
+    data.attributes["normal"].data.foreach_get("vector", normals.ravel())
+    step = max(1, len(normals) // points.SUBJECT_SAMPLE)
+    places = points.positions(data)[::step]
+    subject = points.about_the_subject(places)
+    heights = places[subject] @ slope + high
+    up = normals[::step][subject] @ (slope / np.linalg.norm(slope))
+    level = heights[up > LEVEL]
+    if not len(level):
+        raise FrameError(
+            f"Nothing level was measured in {cloud.name}.", remedy="Level the site first, or move it by hand.")
+    counts, edges = np.histogram(level, LEVELS, np.percentile(heights, [0.5, 99.5]) + [-1e-6, 1e-6])
+    wide = np.convolve(counts, np.ones(3), "same")
+    at = int(np.argmax(wide >= WIDE * wide.max()))
+    while at + 1 < LEVELS and wide[at + 1] > wide[at]:
+        at += 1
+    near = level[(level >= edges[max(at - 1, 0)]) & (level <= edges[min(at + 2, LEVELS)])]
+    return float(np.median(near))
+
+
 def _box_of_region(region: bpy.types.Object, turned_by: float) -> Box:
     corners = np.array([region.matrix_world @ Vector(corner) for corner in region.bound_box])
     along = np.array(region.matrix_world.to_3x3().col[0])
@@ -112,16 +138,6 @@ def _box_of_region(region: bpy.types.Object, turned_by: float) -> Box:
     return Box(
         centre=np.array([*footprint.turned(middle[None, :2], -turn)[0], middle[2]]), half=(high - low) / 2, turn=turn,
     )
-
-
-def _world_points(item: bpy.types.Object) -> np.ndarray:
-    attribute = item.data.attributes["position"]
-    positions = np.empty((len(attribute.data), 3), np.float32)
-    attribute.data.foreach_get("vector", positions.ravel())
-    sample = positions[:: max(1, len(positions) // SAMPLE)].astype(float)
-    matrix = np.array(item.matrix_world)
-    result: np.ndarray = sample @ matrix[:3, :3].T + matrix[:3, 3]
-    return result
 
 
 def _walls_of(item: bpy.types.Object) -> float | None:

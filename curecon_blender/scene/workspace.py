@@ -19,7 +19,7 @@ from ..core.mesh import Mesh, filled_share, mesh_file, read_mesh, textured_folde
 from ..core.ply import read_cloud
 from ..core.types import Component, Frame
 from ..core.workspace import refuse_links
-from . import cameras, cloud_edits, display, frame, points, surface
+from . import cameras, cloud_edits, display, frame, new_file, points, surface
 
 WORKSPACE_KEY = "curecon_workspace"  # on the collection: the workspace it was imported from
 UNPLACED_KEY = "curecon_unplaced"  # on the collection while it is built, and in no scene yet
@@ -40,6 +40,7 @@ class Imported:
     parts: int
     missing_pictures: int
     stale_edits: bool  # points were taken out of an earlier cloud; this one has all of its own
+    cleared: bool  # the cube, camera and light of a new file made room
 
     @property
     def points(self) -> int:
@@ -195,6 +196,7 @@ def _place(scene: bpy.types.Scene, content: Content, top: bpy.types.Collection) 
     for collection in list(scene.collection.children):
         if collection.get(WORKSPACE_KEY) == str(content.folder):
             _remove(scene, collection)
+    cleared = new_file.clear(scene)
     del top[UNPLACED_KEY]
     top.name = _name(content)
     _drop_numbers(top)
@@ -214,7 +216,7 @@ def _place(scene: bpy.types.Scene, content: Content, top: bpy.types.Collection) 
         frame=placed[0].frame if placed else Frame(scale="unknown", up="given"),
         scale_source=placed[0].scale_source if placed else "", parts=len(content.parts),
         missing_pictures=sum(not item.data.background_images for item in photo_cameras),
-        stale_edits=content.stale_edits,
+        stale_edits=content.stale_edits, cleared=cleared,
     )
 
 

@@ -18,6 +18,7 @@ from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
 import curecon_blender
+from curecon_blender.core.ply import Cloud, CloudWriter
 from curecon_blender.scene import measurements
 from curecon_blender.scene.frame import world_matrix
 from curecon_blender.scene.points import positions
@@ -107,6 +108,45 @@ def check_tools() -> None:
         assert (holder["scale"], holder["up"], holder["north"]) == ("metres", "measured", True)
     assert "one line" in error_of(bpy.ops.curecon.frame_level, plane="FLOOR", first=(0, 0, 0), second=(1, 0, 0),
                                   third=(2, 0, 0))
+
+
+def write_terrain(folder: Path) -> None:
+    """A workspace of a field at z = -8 with a house on it, whose flat roof is at -2, and some strays deep below."""
+    workspace_scene.write(folder)
+    rng = np.random.default_rng(2)
+    field, roof = rng.uniform(-20, 20, (6000, 2)), rng.uniform(-6, 6, (2500, 2))
+    points = np.concatenate([
+        np.column_stack([field, rng.normal(-8, 0.05, 6000)]), np.column_stack([roof, rng.normal(-2, 0.05, 2500)]),
+        np.column_stack([roof[:40], rng.uniform(-30, -12, 40)]),
+    ]).astype(np.float32)
+    with CloudWriter(folder / "cloud.ply") as writer:
+        writer.write(Cloud(
+            points=points, colours=np.full(points.shape, 128, np.uint8), confidence=np.ones(len(points), np.float32),
+            normals=np.tile(np.float32([0, 0, 1]), (len(points), 1)), views=np.full(len(points), 5, np.uint8),
+        ))
+
+
+def check_ground() -> None:
+    """The ground comes to Z = 0, the origin's altitude with it, and stays there over a new scale and an import."""
+    write_terrain(FOLDER / "terrain")
+    bpy.ops.wm.read_homefile(use_empty=True)
+    bpy.ops.curecon.import_workspace(directory=str(FOLDER / "terrain"))
+
+    def of_ground() -> Vector:
+        bpy.context.view_layer.update()
+        return clouds_of(scene())[0].matrix_world @ Vector((10, 10, -8))
+
+    assert bpy.ops.curecon.frame_ground() == {"FINISHED"}
+    np.testing.assert_allclose(of_ground(), (10, 10, 0), atol=0.05)
+    collection = bpy.data.collections["CU-Recon: terrain"]
+    assert abs(collection["origin_altitude"] - 302) < 0.05
+    bpy.ops.curecon.frame_scale(first=(0, 0, 0), second=(10, 0, 0), length=20.0)
+    np.testing.assert_allclose(of_ground(), (20, 20, 0), atol=0.1)
+    bpy.ops.curecon.import_workspace(directory=str(FOLDER / "terrain"))
+    np.testing.assert_allclose(of_ground(), (20, 20, 0), atol=0.1)
+    assert bpy.ops.curecon.frame_reset() == {"FINISHED"}
+    np.testing.assert_allclose(of_ground(), (10, 10, -8), atol=1e-4)
+    assert bpy.data.collections["CU-Recon: terrain"]["origin_altitude"] == 310
 
 
 def check_files() -> np.ndarray:
@@ -204,6 +244,7 @@ try:
     assert second["scale"] if "scale" in second else second.users_collection[0]["scale"] == "metres"
     bpy.ops.curecon.import_workspace(directory=str(FOLDER / "parts"))
     assert bpy.ops.curecon.forget_position.poll()
+    check_ground()
 finally:
     curecon_blender.unregister()
 print("CHECKED")

@@ -66,6 +66,22 @@ def check_cameras() -> None:
         assert tuple(picture.size) == workspace_scene.SIZE, picture.filepath
 
 
+def check_new_file() -> None:
+    """What Blender puts into a new file makes room, unless the user has touched any of it; an undo brings it back."""
+    own = {"Cube", "Camera", "Light"}
+    for touch in (False, True):
+        bpy.ops.wm.read_factory_settings()
+        curecon_blender.register()
+        bpy.data.objects["Cube"].location.x = float(touch)
+        bpy.ops.ed.undo_push(message="before")
+        assert bpy.ops.curecon.import_workspace(directory=str(FOLDER / "one")) == {"FINISHED"}
+        bpy.ops.ed.undo_push(message="imported")
+        assert own & set(bpy.data.objects.keys()) == (own if touch else set())
+        bpy.ops.ed.undo()
+        assert {item.name for item in bpy.context.scene.objects} == own
+        curecon_blender.unregister()
+
+
 curecon_blender.register()
 try:
     workspace_scene.write(FOLDER / "one")
@@ -101,4 +117,5 @@ try:
     assert bpy.context.scene.unit_settings.system == "NONE"
 finally:
     curecon_blender.unregister()
+check_new_file()
 print("CHECKED")

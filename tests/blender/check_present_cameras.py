@@ -16,6 +16,7 @@ from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
 import curecon_blender
+from curecon_blender.scene.points import about_the_subject
 
 FOLDER = Path(sys.argv[1]) / "work"
 ORDER = ("quote'd.jpg", "照片 3.jpg", "DJI_0001.JPG", "with space.png")  # of capture; not that of the names
@@ -88,6 +89,15 @@ try:
     bpy.context.view_layer.update()
     bpy.ops.curecon.move_camera(kind="ORBIT")
     np.testing.assert_allclose(played(scene.camera).mean(axis=0)[:2], [30, 0], atol=1e-3)
+
+    # Land about a building that few photos show, and strays above it, are no part of the view.
+    rng = np.random.default_rng(4)
+    house, land, strays = (rng.uniform(-half, half, (count, 3)) for half, count in (
+        ((10, 10, 5), 20_000), ((24, 24, 0.5), 3000), ((10, 10, 14), 30)))
+    places = np.concatenate([house, land, strays])
+    kept = places[about_the_subject(places)]
+    assert len(kept) > 0.8 * len(house) and np.abs(kept[:, 2]).max() < 6
+    assert np.abs(np.percentile(kept[:, :2], [1, 99], axis=0)).max() < 12
 
     # Photo after photo in order of capture, around both ends, with the photo over the scene.
     for expected in (ORDER[0], ORDER[1]):

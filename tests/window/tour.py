@@ -74,8 +74,6 @@ def install(person: Person) -> Wait:
 
 def photos(person: Person) -> Wait:
     step("photos")
-    yield from person.press("DEL", *person.middle())  # Blender's own cube
-    assert "Cube" not in bpy.context.scene.objects
     yield from person.sidebar("CU-Recon")
     yield from person.picture("empty")
     names = sorted(path.name for path in Path(task["photos"]).iterdir())
@@ -86,7 +84,7 @@ def photos(person: Person) -> Wait:
         )
     yield from person.picture("drop")  # Blender asks whether they are to become an image in the scene
     yield from person.press("D", *person.middle())
-    yield from worked(person, 120, "the photo check")
+    yield from worked(person, task["patience"], "the photo check")
     assert bpy.context.scene.curecon.check.photos == len(names)
     yield from person.open_only("CURECON_PT_photos")
     yield from person.picture("photos")
@@ -111,6 +109,7 @@ def reconstruct(person: Person) -> Wait:
     assert not failure(), failure()
     step("first cloud")
     yield 1.0
+    assert "Cube" not in bpy.context.scene.objects, "Blender's own cube stands in the site"
     report["points"], report["cameras"] = properties.result.points, properties.result.cameras
     yield from person.open_only("CURECON_PT_result")
     yield from person.picture("result")

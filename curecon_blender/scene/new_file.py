@@ -1,0 +1,36 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The cube, camera and light that Blender puts into every new file."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+# Where Blender puts each, and of what kind it is.
+PLACES = {
+    "Cube": ("MESH", (0.0, 0.0, 0.0)),
+    "Camera": ("CAMERA", (7.358891, -6.925791, 4.958309)),
+    "Light": ("LIGHT", (4.076245, 1.005454, 5.903862)),
+}
+
+
+def clear(scene: bpy.types.Scene) -> bool:
+    """Take them out of a scene that holds nothing else, and only as Blender made them; returns whether it did."""
+    items = list(scene.objects)
+    if not items or not all(_is_untouched(item) for item in items):
+        return False
+    bpy.data.batch_remove([*items, *(item.data for item in items)])
+    return True
+
+
+def _is_untouched(item: bpy.types.Object) -> bool:
+    kind, place = PLACES.get(item.name, ("", ()))
+    if item.type != kind or item.data.users > 1 or item.modifiers or item.constraints or item.animation_data:
+        return False
+    if not np.allclose(item.location, place, atol=1e-3) or not np.allclose(item.scale, 1):
+        return False
+    if kind != "MESH":
+        return True
+    corners = np.array([list(vertex.co) for vertex in item.data.vertices[:9]])
+    return len(corners) == 8 and np.allclose(np.abs(corners), 1)
