@@ -275,7 +275,7 @@ class _Upload:
             wanted = (name for name in _ATTRIBUTES if name in data.attributes and name not in self._fetched)
             if (missing := next(wanted, None)) is not None:
                 field, width, kind = _ATTRIBUTES[missing]
-                values = np.empty((len(data.points), width), kind)
+                values: np.ndarray = np.empty((len(data.points), width), kind)
                 data.attributes[missing].data.foreach_get(field, values.ravel())
                 self._fetched[missing] = values
             elif (start := len(self._batches) * PIECE) < len(data.points):
