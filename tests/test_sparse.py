@@ -219,6 +219,7 @@ def test_a_damaged_feature_database_is_started_afresh(site: Site, tmp_path: Path
 
 def import_model(folder: Path, photo_set: PhotoSet, workspace: Path) -> tuple[pycolmap.Reconstruction, list[str]]:
     reporter = make_reporter()
+    workspace.mkdir(exist_ok=True)
     frames = sparse.import_model(folder, photo_set, make_options(workspace), workspace, reporter)
     assert [frame.up for frame in frames] == ["given"]
     return read(workspace), reporter.warnings
