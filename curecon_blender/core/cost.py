@@ -169,7 +169,8 @@ def _peak_bytes(photos: tuple[Photo, ...], options: Options) -> dict[str, float]
     per_pixel += options.source_views * depth.BYTES_PER_SOURCE_PIXEL
     tile = max(min(depth.BASE_BYTES + max(pixels) * per_pixel, budget), depth.LEAST_BUDGET)
     features = min(depth.FEATURE_BYTES, budget / 4, sum(pixels) * FEATURE_BYTES_PER_PIXEL)
-    meshed = min(sum(pixels), PIXELS_A_POINT * meshing.POINTS_A_FACE * options.max_faces)
+    faces = max(options.mesh_faces, meshing.MeshOptions.max_faces)  # fewer take no more of the cloud away
+    meshed = min(sum(pixels), PIXELS_A_POINT * meshing.POINTS_A_FACE * faces)
     peaks = {
         "photos": readers * full,
         "sparse": max(readers * (full + picture), threads * MATCHING_BYTES * options.preset.max_features**2),

@@ -15,17 +15,18 @@ QUALITIES = ("preview", "standard", "high", "ultra")
 
 @dataclass(frozen=True, kw_only=True)
 class Preset:
-    """What a quality stands for: longest image side for SfM and for depth maps (pixels), source views, and most
-    features a photo."""
+    """What a quality stands for: longest image side for SfM and for depth maps (pixels), source views, most features
+    a photo, and most faces of the mesh."""
 
     sfm_image_size: int
     image_size: int
     source_views: int
     max_features: int = 8192
+    mesh_faces: int = 1_000_000
 
 
 PRESETS = {
-    "preview": Preset(sfm_image_size=1200, image_size=800, source_views=4, max_features=4096),
+    "preview": Preset(sfm_image_size=1200, image_size=800, source_views=4, max_features=4096, mesh_faces=250_000),
     "standard": Preset(sfm_image_size=1600, image_size=1600, source_views=4),
     "high": Preset(sfm_image_size=2400, image_size=2400, source_views=6),
     "ultra": Preset(sfm_image_size=3200, image_size=100_000, source_views=8),
@@ -56,7 +57,7 @@ class Options:
     max_reprojection_error: float = 1.0  # pixels
     max_depth_difference: float = 0.01  # relative
     fill_holes: bool = True  # close holes in the mesh, marked as filled; False leaves them open
-    max_faces: int = 1_000_000  # of the mesh
+    max_faces: int | None = None  # of the mesh; overrides the preset's
     region: tuple[float, ...] | None = None  # the mesh's bounds in the site frame: x0, y0, z0, x1, y1, z1
     region_turn: tuple[float, ...] | None = None  # quaternion w, x, y, z: turns the site frame to the region's axes
     texture_size: int = 4096  # pixels, side of a page
@@ -75,3 +76,8 @@ class Options:
     def source_views(self) -> int:
         """Source views per reference (N)."""
         return self.views or self.preset.source_views
+
+    @property
+    def mesh_faces(self) -> int:
+        """Most faces of the mesh."""
+        return self.preset.mesh_faces if self.max_faces is None else self.max_faces

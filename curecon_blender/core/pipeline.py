@@ -228,7 +228,7 @@ class _Job:
         options, root = self.options, self.workspace.root
         x0, y0, z0, x1, y1, z1 = options.region or (0.0,) * 6
         region = ((x0, y0, z0), (x1, y1, z1)) if options.region else None
-        settings = MeshOptions(fill_holes=options.fill_holes, max_faces=options.max_faces, region=region)
+        settings = MeshOptions(fill_holes=options.fill_holes, max_faces=options.mesh_faces, region=region)
 
         def build(component: Component) -> None:
             cloud = read_edited_cloud(root / component.cloud)

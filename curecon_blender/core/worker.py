@@ -159,7 +159,7 @@ def _parser() -> argparse.ArgumentParser:
     for command in (run, surface):
         command.add_argument("--fill-holes", action=argparse.BooleanOptionalAction, default=default["fill_holes"],
                              help="close holes in the mesh; what no photo measured is marked as filled")
-        command.add_argument("--max-faces", type=int, default=default["max_faces"])
+        command.add_argument("--max-faces", type=int, help="most triangles of the mesh (default: the quality's)")
         command.add_argument("--region", type=float, nargs=6, metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"),
                              help="build the mesh of this part of the site only, in its frame")
         command.add_argument("--region-turn", type=float, nargs=4, metavar=("W", "X", "Y", "Z"),

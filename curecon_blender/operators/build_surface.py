@@ -10,6 +10,7 @@ from typing import Any
 import bpy
 
 from ..core.errors import SurfaceError
+from ..core.options import PRESETS
 from ..scene import region
 from ..scene.surface import surfaces_of
 from ..scene.workspace import clouds_of
@@ -22,8 +23,9 @@ def surface_arguments(scene: bpy.types.Scene) -> list[str]:
     """The worker's options for mesh and texture, as the scene has them. Raises SurfaceError when a region is asked for
     and there is none."""
     properties = scene.curecon
+    faces = properties.max_faces or PRESETS[properties.quality].mesh_faces
     arguments = [
-        "--fill-holes" if properties.fill_holes else "--no-fill-holes", "--max-faces", str(properties.max_faces),
+        "--fill-holes" if properties.fill_holes else "--no-fill-holes", "--max-faces", str(faces),
         "--texture-size", properties.texture_size, "--texture-format", properties.texture_format,
     ]
     if properties.use_region:

@@ -12,7 +12,7 @@ from bpy.props import EnumProperty
 
 from ..core import capture
 from ..core.errors import CuReconError, WorkspaceError
-from ..scene import flight
+from ..scene import flight, stage
 from . import places, running
 
 KINDS = (
@@ -54,6 +54,7 @@ Made again, it takes the place of the earlier one"""
         except CuReconError as error:
             self.report({"ERROR"}, running.explain(error))
             return {"CANCELLED"}
+        stage.apply_quality(scene)
         if context.area is not None and context.area.type == "VIEW_3D":
             context.area.spaces.active.region_3d.view_perspective = "CAMERA"
         self.report({"INFO"}, f"{camera.name}: {scene.frame_end} frames. Play it with the space bar.")

@@ -12,7 +12,7 @@ from bpy.props import BoolProperty
 
 from ..core import capture
 from ..core.errors import WorkspaceError
-from ..scene import cameras, flight
+from ..scene import cameras, flight, stage
 from . import places
 
 
@@ -51,6 +51,7 @@ class CURECON_OT_step_photo(bpy.types.Operator):
         else:
             camera = found[-1 if self.back else 0]
         cameras.look_through(context, camera)
+        stage.apply_quality(scene)
         cameras.overlay(camera, scene.curecon.present.photo_opacity)
         return {"FINISHED"}
 

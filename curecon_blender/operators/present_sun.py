@@ -11,7 +11,7 @@ import bpy
 
 from ..core import capture, sun
 from ..core.errors import CuReconError, WorkspaceError
-from ..scene import daylight, site
+from ..scene import daylight, site, stage
 from . import places, running
 
 
@@ -79,6 +79,7 @@ def _set_sun(scene: bpy.types.Scene) -> tuple[str, str]:
         )
     daylight.shine(scene, site.box(scene), azimuth, altitude, north)
     properties.surface_light = "SCENE"
+    stage.apply_quality(scene)
     said = f"{utc:%d %B %Y, %H:%M} UTC: the sun {altitude:.0f}° high in {azimuth:.0f}°."
     guesses = [text for text, guessed in (
         ("the place is the one typed in", place.origin is None), ("north is the one typed in", not place.north),

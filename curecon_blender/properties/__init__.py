@@ -155,8 +155,10 @@ class CURECON_PG_scene(bpy.types.PropertyGroup):
         default=True,
     )
     max_faces: IntProperty(
-        name="Max Faces", description="Triangles that the mesh may have, from 1,000 to 50,000,000",
-        default=1_000_000, min=1_000, soft_max=5_000_000, max=50_000_000, step=100_000,
+        name="Max Faces",
+        description="Triangles that the mesh may have, up to 50,000,000; 0 takes the quality's own: 250,000 for "
+                    "Preview, else 1,000,000",
+        default=0, min=0, soft_max=5_000_000, max=50_000_000, step=100_000,
     )
     use_region: BoolProperty(
         name="Region", description="Make the mesh only of what lies inside of the region box", default=False,
@@ -195,8 +197,8 @@ class CURECON_PG_scene(bpy.types.PropertyGroup):
     )
     measurement_index: IntProperty(name="Distance", description="The chosen distance on the list", default=0, min=0)
     show_measurements: BoolProperty(
-        name="Show Distances", description="Draw the measured distances over the viewports", default=True,
-        update=_redraw,
+        name="Show Distances", description="Draw the measured distances over the viewports, but not over a photo",
+        default=True, update=_redraw,
     )
     present: PointerProperty(type=CURECON_PG_present, name="Present", description="How the site is presented")
 

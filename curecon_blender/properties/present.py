@@ -12,7 +12,7 @@ from math import pi
 import bpy
 from bpy.props import EnumProperty, FloatProperty, StringProperty
 
-from ..scene import cameras
+from ..scene import cameras, stage
 
 SCALES = tuple(
     (str(scale), f"1:{scale}", f"1 cm on the paper is {scale / 100:g} m on the building")
@@ -32,6 +32,10 @@ def _overlay(present: CURECON_PG_present, context: bpy.types.Context) -> None:
     camera = present.id_data.camera
     if cameras.is_photo_camera(camera):
         cameras.overlay(camera, present.photo_opacity)
+
+
+def _quality(present: CURECON_PG_present, context: bpy.types.Context) -> None:
+    stage.apply_quality(present.id_data)
 
 
 class CURECON_PG_present(bpy.types.PropertyGroup):
@@ -85,10 +89,11 @@ class CURECON_PG_present(bpy.types.PropertyGroup):
         default=0.0, min=-pi / 2, max=pi / 2, subtype="ANGLE",
     )
     quality: EnumProperty(
-        name="Quality", description="Of all that is rendered here", items=QUALITIES, default="DRAFT",
+        name="Quality", description="Of all that is rendered, with F12 too", items=QUALITIES, default="DRAFT",
+        update=_quality,
     )
     engine: EnumProperty(
-        name="Engine", description="What renders", items=ENGINES, default="CYCLES",
+        name="Engine", description="What renders, with F12 too", items=ENGINES, default="CYCLES", update=_quality,
     )
     folder: StringProperty(
         name="Folder", description="Where the files go. Empty: the folder presentation in the workspace",

@@ -86,6 +86,12 @@ def overlay(camera: bpy.types.Object, opacity: float) -> None:
         background.display_depth, background.alpha = "FRONT", opacity
 
 
+def is_overlaid(camera: bpy.types.Object | None) -> bool:
+    """Whether one who looks through a camera sees its photo over the scene."""
+    return is_photo_camera(camera) and camera.data.show_background_images and any(
+        background.display_depth == "FRONT" and background.alpha > 0 for background in camera.data.background_images)
+
+
 def is_photo_camera(candidate: bpy.types.Object | None) -> bool:
     return candidate is not None and candidate.type == "CAMERA" and SIZE_KEY in candidate.data
 

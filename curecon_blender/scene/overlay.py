@@ -15,7 +15,7 @@ from bpy_extras import view3d_utils
 from gpu_extras.batch import batch_for_shader
 from mathutils import Vector
 
-from . import measurements
+from . import cameras, measurements
 
 LINE = (1.0, 0.85, 0.2, 1.0)  # measured
 PICK = (0.2, 0.9, 1.0, 1.0)  # being picked
@@ -46,7 +46,9 @@ def _draw() -> None:
     context = bpy.context
     scene = context.scene
     gpu.state.blend_set("ALPHA")
-    if scene.curecon.show_measurements and context.space_data.overlay.show_overlays:
+    space = context.space_data
+    through_photo = context.region_data.view_perspective == "CAMERA" and cameras.is_overlaid(space.camera)
+    if scene.curecon.show_measurements and space.overlay.show_overlays and not through_photo:
         for measurement in scene.curecon.measurements:
             ends = [_on_screen(context, place) for place in (measurement.first, measurement.second)]
             if ends[0] is not None and ends[1] is not None:

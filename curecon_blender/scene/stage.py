@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A copy of the scene to render from, so that the user's own render settings stay as they are.
+"""A copy of the scene to render from, so that the user's own size, output and colours stay as they are.
 
-The copy shares the objects; it is there only while pictures are made.
+The copy shares the objects; it is there only while pictures are made. Engine and quality are the scene's own, too.
 """
 
 from __future__ import annotations
@@ -56,19 +56,11 @@ def open_stage(scene: bpy.types.Scene) -> bpy.types.Scene:
     """A copy of the scene in the colours of the photos, with the quality that the scene's properties ask for."""
     if (earlier := find()) is not None:  # of a run that was cut off
         close_stage(earlier)
-    present = scene.curecon.present
-    preset = PRESETS[present.quality]
     stage = scene.copy()
     stage.name = NAME
     stage[presentation.ROLE_KEY] = STAGE_ROLE
+    apply_quality(stage)
     render, view = stage.render, stage.view_settings
-    known = {item.identifier for item in render.bl_rna.properties["engine"].enum_items}
-    render.engine = "CYCLES" if present.engine == "CYCLES" else next(name for name in EEVEES if name in known)
-    if hasattr(stage, "cycles"):  # the Cycles add-on can be switched off
-        stage.cycles.samples, stage.cycles.max_bounces, stage.cycles.transparent_max_bounces = preset.samples, 4, 64
-        # Photos' colours have no noise to be taken away, only detail.
-        stage.cycles.use_denoising = scene.curecon.surface_light == "SCENE"
-    stage.eevee.taa_render_samples = preset.samples
     render.use_persistent_data = True  # a film's frames share the geometry
     render.use_compositing = render.use_sequencer = render.use_border = render.use_stamp = False
     for setting in render.bl_rna.properties:  # else a picture tells the .blend's path, and so often who made it
@@ -78,6 +70,21 @@ def open_stage(scene: bpy.types.Scene) -> bpy.types.Scene:
     # As they are on the photos: other view transforms would change them.
     view.view_transform, view.look, view.exposure, view.gamma = "Standard", "None", 0, 1
     return stage
+
+
+def apply_quality(scene: bpy.types.Scene) -> None:
+    """Let what the scene renders, F12's pictures too, have the engine and the quality that its properties ask for."""
+    present = scene.curecon.present
+    preset, render = PRESETS[present.quality], scene.render
+    known = {item.identifier for item in render.bl_rna.properties["engine"].enum_items}
+    render.engine = "CYCLES" if present.engine == "CYCLES" else next(name for name in EEVEES if name in known)
+    if hasattr(scene, "cycles"):  # the Cycles add-on can be switched off
+        scene.cycles.samples, scene.cycles.max_bounces, scene.cycles.transparent_max_bounces = preset.samples, 4, 64
+        # Photos' colours have no noise to be taken away, only detail.
+        scene.cycles.use_denoising = scene.curecon.surface_light == "SCENE"
+    scene.eevee.taa_render_samples = preset.samples
+    if flight.is_move(scene.camera):
+        render.resolution_percentage = preset.film_percentage
 
 
 def find() -> bpy.types.Scene | None:

@@ -16,6 +16,7 @@ from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
 import curecon_blender
+from curecon_blender.scene import cameras
 from curecon_blender.scene.points import about_the_subject
 
 FOLDER = Path(sys.argv[1]) / "work"
@@ -57,6 +58,7 @@ try:
 
     assert bpy.ops.curecon.move_camera(kind="ORBIT") == {"FINISHED"}
     assert scene.frame_end == round(2 * scene.render.fps) and scene.camera.name == "CU-Recon Orbit"
+    assert (scene.render.engine, scene.render.resolution_percentage) == ("CYCLES", 50)  # as Draft has films
     places = played(scene.camera)
     steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
     assert np.ptp(steps) < 1e-3 * steps.mean() and np.ptp(places[:, 2]) < 1e-4
@@ -92,8 +94,10 @@ try:
 
     # Land about a building that few photos show, and strays above it, are no part of the view.
     rng = np.random.default_rng(4)
-    house, land, strays = (rng.uniform(-half, half, (count, 3)) for half, count in (
-        ((10, 10, 5), 20_000), ((24, 24, 0.5), 3000), ((10, 10, 14), 30)))
+    house, land, strays = (rng.uniform(-np.array(half), half, (count, 3)) for half, count in (
+        ((10, 10, 5), 60_000), ((24, 24, 0.1), 6000), ((10, 10, 14), 30)))
+    side = np.abs(house[:, :2]).argmax(axis=1)
+    house[np.arange(len(house)), side] = 10 * np.sign(house[np.arange(len(house)), side])  # walls are thin
     places = np.concatenate([house, land, strays])
     kept = places[about_the_subject(places)]
     assert len(kept) > 0.8 * len(house) and np.abs(kept[:, 2]).max() < 6
@@ -107,6 +111,7 @@ try:
     assert (scene.render.resolution_x, scene.render.resolution_y) == workspace_scene.SIZE
     present.photo_opacity = 0.25
     (background,) = scene.camera.data.background_images
+    assert cameras.is_overlaid(scene.camera)
     assert background.display_depth == "FRONT" and abs(background.alpha - 0.25) < 1e-6
     bpy.ops.curecon.step_photo()
     assert abs(scene.camera.data.background_images[0].alpha - 0.25) < 1e-6

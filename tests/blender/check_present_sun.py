@@ -66,6 +66,12 @@ try:
     assert abs(np.degrees(sky.sun_rotation) - azimuth) < 0.1
     assert abs(np.degrees(sky.sun_elevation) - np.degrees(np.arcsin(expected[2]))) < 0.1
 
+    # F12 renders as Present says.
+    assert (scene.render.engine, scene.cycles.samples, scene.cycles.use_denoising) == ("CYCLES", 8, True)
+    scene.curecon.present.quality, scene.curecon.present.engine = "GOOD", "EEVEE"
+    assert "EEVEE" in scene.render.engine and scene.eevee.taa_render_samples == 48
+    assert scene.render.resolution_percentage == 100  # of a photo's size
+
     # A second press moves the same lamp; what the user set on it stays. Without an offset the longitude tells the hour.
     made = ours()
     scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0.5

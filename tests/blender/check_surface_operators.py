@@ -78,6 +78,10 @@ try:
     assert understand(job_arguments(bpy.context, until="fusion")).scheduler == ""
     preferences.Settings.__init__.__kwdefaults__["scheduler"] = "tcp://192.168.1.5:8786"
     assert understand(job_arguments(bpy.context, until="fusion")).scheduler == "tcp://192.168.1.5:8786"
+    for quality, faces in (("preview", 250_000), ("standard", 1_000_000)):
+        properties.quality = quality
+        told = understand(["surface", str(folder), *surface_arguments(bpy.context.scene)])
+        assert told.max_faces == faces
     properties.fill_holes, properties.max_faces = False, 5000
     properties.texture_size, properties.texture_format = "8192", "jpeg"
     told = understand(["surface", str(folder), "--until", "mesh", *surface_arguments(bpy.context.scene)])
