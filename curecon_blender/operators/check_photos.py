@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import bpy
+from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import StringProperty
 
 from .. import thumbnails
@@ -73,7 +74,7 @@ class CURECON_OT_check_photos(WorkerOperator, bpy.types.Operator):
                 entry.name, entry.seconds = f"{quality}:{goal}", cost["seconds"]
                 entry.memory_gib, entry.disk_gib = cost["memory_gib"], cost["disk_gib"]
         check.free_memory_gib, check.free_disk_gib = summary["free_memory_gib"], summary["free_disk_gib"]
-        return f"{check.photos} photos can be used, {len(check.skipped)} files cannot."
+        return rpt_("{} photos can be used, {} files cannot.").format(check.photos, len(check.skipped))
 
 
 class CURECON_OT_open_photo(bpy.types.Operator):

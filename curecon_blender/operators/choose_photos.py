@@ -10,6 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import bpy
+from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import BoolProperty, CollectionProperty, StringProperty
 
 from ..core.errors import CuReconError
@@ -52,7 +53,8 @@ class CURECON_OT_choose_photos(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         folder = Path(bpy.path.abspath(self.directory))
         if not folder.is_dir():
-            self.report({"ERROR"}, f"{folder} is not a folder. Choose the folder with the drone's photos.")
+            said = rpt_("{} is not a folder. Choose the folder with the drone's photos.")
+            self.report({"ERROR"}, said.format(folder))
             return {"CANCELLED"}
         properties = context.scene.curecon
         properties.photos, properties.workspace, properties.model = str(folder), "", ""

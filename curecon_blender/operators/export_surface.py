@@ -10,6 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import bpy
+from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
@@ -87,10 +88,13 @@ class CURECON_OT_export_surface(bpy.types.Operator, ExportHelper):
         except CuReconError as error:
             self.report({"ERROR"}, running.explain(error))
             return {"CANCELLED"}
-        said = "it carries the site's GPS position" if exported.has_position else "it carries no GPS position"
+        if exported.has_position:
+            said = rpt_("{} is written; it carries the site's GPS position.")
+        else:
+            said = rpt_("{} is written; it carries no GPS position.")
         if exported.note:
             self.report({"WARNING"}, exported.note)
-        self.report({"INFO"}, f"{path.name} is written; {said}.")
+        self.report({"INFO"}, said.format(path.name))
         return {"FINISHED"}
 
 

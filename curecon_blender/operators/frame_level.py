@@ -11,6 +11,7 @@ from datetime import datetime
 
 import bpy
 import numpy as np
+from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import EnumProperty
 
 from ..core import alignment
@@ -46,7 +47,7 @@ class CURECON_OT_frame_level(PickingOperator, bpy.types.Operator):
             above=part.local(part.above), when=datetime.now(),
         )
         frame.adjust(context.scene, part, after)
-        return f"The site is tilted by {alignment.angle_between(before, after):.2f}°."
+        return rpt_("The site is tilted by {:.2f}°.").format(alignment.angle_between(before, after))
 
 
 CLASSES = (CURECON_OT_frame_level,)

@@ -11,6 +11,7 @@ from datetime import datetime
 
 import bpy
 import numpy as np
+from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import BoolProperty, FloatProperty
 
 from ..core import alignment
@@ -47,7 +48,7 @@ turned until Y is north"""
         before = part.adjustment
         after = alignment.with_bearing(before, first, second, self.bearing, when=datetime.now())
         frame.adjust(context.scene, part, after)
-        return f"The site is turned by {alignment.angle_between(before, after):.2f}°: Y is north."
+        return rpt_("The site is turned by {:.2f}°: Y is north.").format(alignment.angle_between(before, after))
 
 
 class CURECON_OT_frame_turn(PickingOperator, bpy.types.Operator):
@@ -77,7 +78,7 @@ class CURECON_OT_frame_turn(PickingOperator, bpy.types.Operator):
         part = frame.part_of(context)
         after = alignment.with_turn(part.adjustment, self.turn, north=self.is_north, when=datetime.now())
         frame.adjust(context.scene, part, after)
-        return f"The site is turned by {self.turn:.1f}°."
+        return rpt_("The site is turned by {:.1f}°.").format(self.turn)
 
 
 CLASSES = (CURECON_OT_frame_north, CURECON_OT_frame_turn)

@@ -11,6 +11,7 @@ from datetime import datetime
 
 import bpy
 import numpy as np
+from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import FloatProperty
 
 from ..core import alignment
@@ -61,7 +62,8 @@ class CURECON_OT_frame_scale(PickingOperator, bpy.types.Operator):
             before, first, second, self.length, sigma=float(np.hypot(self.known_to, picks)), when=datetime.now(),
         )
         frame.adjust(context.scene, part, after)
-        return f"The site is scaled by {after.scale / before.scale:.4g}: true scale from {part.scale_source}."
+        return rpt_("The site is scaled by {:.4g}: true scale from {}.").format(
+            after.scale / before.scale, rpt_(part.scale_source))
 
 
 CLASSES = (CURECON_OT_frame_scale,)

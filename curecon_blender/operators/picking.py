@@ -9,6 +9,7 @@ from collections.abc import Callable
 import bpy
 import numpy as np
 from bpy.app.translations import pgettext_iface
+from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import FloatVectorProperty
 
 from ..core.errors import CuReconError
@@ -97,7 +98,7 @@ class PickingOperator:
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         if not self._has_places():
-            self.report({"ERROR"}, f"It needs the places {', '.join(self.places)}.")
+            self.report({"ERROR"}, rpt_("It needs the places {}.").format(", ".join(self.places)))
             return {"CANCELLED"}
         try:
             self.report({"INFO"}, self.apply(context, [np.array(getattr(self, name)) for name in self.places]))

@@ -7,6 +7,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import bpy
+from bpy.app.translations import pgettext_rpt as rpt_
 
 from ..scene import elevations, stage
 from . import rendering
@@ -26,8 +27,8 @@ class CURECON_OT_render_elevations(RenderSeries, bpy.types.Operator):
     def done(self, scene: bpy.types.Scene, folder: Path) -> str:
         bare = elevations.write_sheets(self._plan, folder, rendering.title_of(scene), rendering.today())
         if bare:
-            self.report({"WARNING"}, f"Next to nothing was measured on: {', '.join(bare)}.")
-        return f"{len(self._plan.elevations)} sheets and elevations.pdf are in {folder}."
+            self.report({"WARNING"}, rpt_("Next to nothing was measured on: {}.").format(", ".join(bare)))
+        return rpt_("{} sheets and elevations.pdf are in {}.").format(len(self._plan.elevations), folder)
 
 
 CLASSES = (CURECON_OT_render_elevations,)

@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 import bpy
+from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import EnumProperty
 
 from ..core import capture
@@ -48,7 +49,8 @@ Made again, it takes the place of the earlier one"""
         except WorkspaceError as error:
             times = {}
             if self.kind == "FLIGHT":
-                self.report({"WARNING"}, f"{error.message} The photos are flown in order of their names.")
+                said = rpt_("{} The photos are flown in order of their names.")
+                self.report({"WARNING"}, said.format(error.message))
         try:
             camera = flight.make(scene, self.kind, times)
         except CuReconError as error:
@@ -57,7 +59,8 @@ Made again, it takes the place of the earlier one"""
         stage.apply_quality(scene)
         if context.area is not None and context.area.type == "VIEW_3D":
             context.area.spaces.active.region_3d.view_perspective = "CAMERA"
-        self.report({"INFO"}, f"{camera.name}: {scene.frame_end} frames. Play it with the space bar.")
+        said = rpt_("{}: {} frames. Play it with the space bar.").format(camera.name, scene.frame_end)
+        self.report({"INFO"}, said)
         return {"FINISHED"}
 
 

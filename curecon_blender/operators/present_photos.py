@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 import bpy
+from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import BoolProperty
 
 from ..core import capture
@@ -27,8 +28,9 @@ class CURECON_OT_step_photo(bpy.types.Operator):
 
     @classmethod
     def description(cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
-        which = "previous" if properties.back else "next"
-        return f"Look through the {which} photo's camera, in order of capture, with the photo laid over the scene"
+        if properties.back:
+            return "Look through the previous photo's camera, in order of capture, with the photo laid over the scene"
+        return "Look through the next photo's camera, in order of capture, with the photo laid over the scene"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -43,7 +45,8 @@ class CURECON_OT_step_photo(bpy.types.Operator):
             times = capture.read_times(places.absolute(scene.curecon.result.workspace))
         except WorkspaceError as error:
             times = {}
-            self.report({"WARNING"}, f"{error.message} The photos are gone through in order of their names.")
+            said = rpt_("{} The photos are gone through in order of their names.")
+            self.report({"WARNING"}, said.format(error.message))
         found = flight.in_order(scene, times)
         step = -1 if self.back else 1
         if scene.camera in found:

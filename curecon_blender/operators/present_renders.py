@@ -7,6 +7,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import bpy
+from bpy.app.translations import pgettext_rpt as rpt_
 
 from ..core.errors import WorkspaceError
 from ..scene import showreel, stage
@@ -29,7 +30,7 @@ The film shows the camera move that the scene looks through, or else a turntable
     def done(self, scene: bpy.types.Scene, folder: Path) -> str:
         stills = [shot for shot in self._shots if shot.frames == 1]
         showreel.write_contact_sheet(stills, folder, rendering.title_of(scene), rendering.today())
-        return f"{len(stills)} stills, a film and a contact sheet are in {folder}."
+        return rpt_("{} stills, a film and a contact sheet are in {}.").format(len(stills), folder)
 
 
 class CURECON_OT_open_presentation(bpy.types.Operator):

@@ -8,6 +8,7 @@ from datetime import timedelta
 from math import degrees
 
 import bpy
+from bpy.app.translations import pgettext_rpt as rpt_
 
 from ..core import capture, sun
 from ..core.errors import CuReconError, WorkspaceError
@@ -80,14 +81,14 @@ def _set_sun(scene: bpy.types.Scene) -> tuple[str, str]:
     daylight.shine(scene, site.box(scene), azimuth, altitude, north)
     properties.surface_light = "SCENE"
     stage.apply_quality(scene)
-    said = f"{utc:%d %B %Y, %H:%M} UTC: the sun {altitude:.0f}° high in {azimuth:.0f}°."
-    guesses = [text for text, guessed in (
-        ("the place is the one typed in", place.origin is None), ("north is the one typed in", not place.north),
-        ("the time zone is taken from the longitude", taken.tzinfo is None),
-    ) if guessed]
-    if guesses:
-        return "WARNING", f"{said} Not from the photos: {', '.join(guesses)}."
-    return "INFO", said
+    said = [rpt_("{:%d %B %Y, %H:%M} UTC: the sun {:.0f}° high in {:.0f}°.").format(utc, altitude, azimuth)]
+    if place.origin is None:
+        said.append(rpt_("The place is the one typed in."))
+    if not place.north:
+        said.append(rpt_("North is the one typed in."))
+    if taken.tzinfo is None:
+        said.append(rpt_("The time zone is taken from the longitude."))
+    return ("WARNING" if len(said) > 1 else "INFO"), " ".join(said)
 
 
 CLASSES = (CURECON_OT_set_sun, CURECON_OT_remove_sun)

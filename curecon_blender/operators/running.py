@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import bpy
+from bpy.app.translations import pgettext_iface as iface_
 
 from ..core.errors import Cancelled, CuReconError
 from ..core.messages import Failure, Log, StageStarted, failure
@@ -89,15 +90,16 @@ def close() -> None:
 def line() -> str:
     """The job's state in one line, for the status bar."""
     if status.cancelling:
-        return "CU-Recon: cancelling..."
+        return iface_("CU-Recon: cancelling...")
     if not status.stages:
-        return f"CU-Recon: {status.task}...    Esc: cancel"
-    stage = status.stages[-1]
-    left = status.seconds_left
-    time_left = f", {duration(left)} left" if left is not None else ""
-    name = STAGE_NAMES.get(stage.stage, stage.stage)
-    count = f" {stage.done}/{stage.total}" if stage.total else ""
-    return f"CU-Recon: {name}{count} ({status.overall:.0%}{time_left})    Esc: cancel"
+        return iface_("CU-Recon: {}...    Esc: cancel").format(iface_(status.task))
+    stage, done, left = status.stages[-1], f"{status.overall:.0%}", status.seconds_left
+    name = iface_(STAGE_NAMES.get(stage.stage, stage.stage))
+    if stage.total:
+        name = f"{name} {stage.done}/{stage.total}"
+    if left is not None:
+        done = iface_("{}, {} left").format(done, duration(left))
+    return iface_("CU-Recon: {} ({})    Esc: cancel").format(name, done)
 
 
 def explain(error: CuReconError | Failure) -> str:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import bpy
+from bpy.app.translations import pgettext_rpt as rpt_
 
 from ..preferences import settings
 from . import running
@@ -32,7 +33,8 @@ do the work, and what to do if not"""
         return ["self-check", "--device", settings(context).device]
 
     def done(self, context: bpy.types.Context, scene: bpy.types.Scene, summary: dict[str, Any]) -> str:
-        return f"The installation works: {summary['synthetic_points']:,} points in {summary['seconds']:.0f} s."
+        return rpt_("The installation works: {:,} points in {:.0f} s.").format(
+            summary["synthetic_points"], summary["seconds"])
 
 
 class CURECON_OT_copy_diagnostics(bpy.types.Operator):

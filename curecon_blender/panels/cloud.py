@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import bpy
+from bpy.app.translations import pgettext_iface as iface_
 
 from ..scene import cloud_edits, display
 from ..scene.workspace import clouds_of
@@ -47,7 +48,8 @@ class CURECON_PT_cloud(Panel, bpy.types.Panel):
         column.operator("curecon.cloud_delete_selected")
         column.operator("curecon.cloud_restore", icon="LOOP_BACK")
         if taken:
-            paragraph(layout, context, f"{counted(taken, 'point')} taken out; the workspace's cloud file is unchanged.")
+            points = counted(taken, "{:,} point", "{:,} points")
+            paragraph(layout, context, iface_("{} taken out; the workspace's cloud file is unchanged.").format(points))
 
     def _draw_region(self, properties: bpy.types.PropertyGroup) -> None:
         row = self.layout.row(align=True)

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import bpy
+from bpy.app.translations import pgettext_iface as iface_
 
 from ..core import alignment
 from ..scene import frame, measurements
@@ -26,15 +27,22 @@ class CURECON_PT_frame(Panel, bpy.types.Panel):
         box = layout.box()
         if len(frame.parts_of(context.scene)) > 1:
             box.label(text=part.collection.name, icon="OUTLINER_COLLECTION", translate=False)
-        scale = f"True scale from {part.scale_source}" if part.scale_source else "Scale unknown: do not measure"
+        scale = "Scale unknown: do not measure"
+        if part.scale_source:
+            scale = iface_("True scale from {}").format(iface_(part.scale_source))
         paragraph(box, context, scale, icon="DRIVER_DISTANCE" if part.scale_source else "ERROR")
         level = adjustment.of(alignment.LEVEL)
-        up = {"gps": "Level by GPS", "gravity": "Level as the cameras were held", "given": "Up as the model has it",
-              "measured": f"Level from {level.how}" if level is not None else ""}[known.up]
+        if level is not None:
+            up = iface_("Level from {}").format(iface_(level.how))
+        else:
+            up = {"gps": "Level by GPS", "gravity": "Level as the cameras were held",
+                  "given": "Up as the model has it"}[known.up]
         paragraph(box, context, up, icon="EMPTY_SINGLE_ARROW")
         turn = adjustment.of(alignment.NORTH)
         if known.north:
-            north = "Y is north" if turn is None else f"Y is north from {alignment.describe(turn)}"
+            north = "Y is north"
+            if turn is not None:
+                north = iface_("Y is north from {}").format(iface_(alignment.describe(turn)))
         else:
             north = "North unknown"
         paragraph(box, context, north, icon="ORIENTATION_GLOBAL" if known.north else "QUESTION")

@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import blf
 import bpy
+from bpy.app.translations import pgettext_iface as iface_
 
 from .. import ADDON
 from ..core.messages import Failure
@@ -61,11 +62,13 @@ def wrap(text: str, context: bpy.types.Context, indent: int = 0) -> list[str]:
 def paragraph(
     layout: bpy.types.UILayout, context: bpy.types.Context, text: str, *, icon: str = "NONE", alert: bool = False
 ) -> None:
+    """`text` in as many lines as it takes: in the user's language where it has a translation."""
     column = layout.column(align=True)
     column.alert = alert
     column.scale_y = 0.8
-    for index, words in enumerate(wrap(text, context, indent=28 if icon != "NONE" else 0)):
-        column.label(text=words, icon=(icon if index == 0 else "BLANK1") if icon != "NONE" else "NONE")
+    for index, words in enumerate(wrap(iface_(text), context, indent=28 if icon != "NONE" else 0)):
+        shown = (icon if index == 0 else "BLANK1") if icon != "NONE" else "NONE"
+        column.label(text=words, icon=shown, translate=False)
 
 
 def action(
@@ -77,8 +80,9 @@ def action(
     return row.operator(operator, text=text or None, icon=icon)
 
 
-def counted(count: int, noun: str) -> str:
-    return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
+def counted(count: int, one: str, many: str) -> str:
+    """`one` or `many` in the user's language, with the count in its place: "{:,} photo", "{:,} photos"."""
+    return iface_(one if count == 1 else many).format(count)
 
 
 def gibibytes(amount: float) -> str:
@@ -92,7 +96,8 @@ def draw_outcome(layout: bpy.types.UILayout, context: bpy.types.Context, status:
         for text in status.warnings:
             paragraph(box, context, text, icon="ERROR")
         if status.warning_count > len(status.warnings):
-            box.label(text=f"and {status.warning_count - len(status.warnings)} earlier warnings")
+            earlier = status.warning_count - len(status.warnings)
+            box.label(text=counted(earlier, "and {:,} earlier warning", "and {:,} earlier warnings"), translate=False)
     if status.failure is not None:
         box = layout.box()
         cancelled = status.failure.kind == "cancelled"
@@ -114,13 +119,15 @@ def _draw_remedy(layout: bpy.types.UILayout, context: bpy.types.Context, failure
 def draw_progress(layout: bpy.types.UILayout, status: Status) -> None:
     column = layout.column(align=True)
     left = status.seconds_left
-    overall = f"{status.overall:.0%}" + (f", {duration(left)} left" if left is not None else "")
+    overall = f"{status.overall:.0%}"
+    if left is not None:
+        overall = iface_("{}, {} left").format(overall, duration(left))
     if status.stages or status.overall:  # an import has no worker to tell of it
         column.progress(factor=status.overall, text="Cancelling..." if status.cancelling else overall)
         column.separator()
     for stage in status.stages:
-        name = STAGE_NAMES.get(stage.stage, stage.stage)
+        name = iface_(STAGE_NAMES.get(stage.stage, stage.stage))
         column.progress(factor=stage.fraction, text=f"{name}  {stage.done}/{stage.total}" if stage.total > 1 else name)
     if not status.stages:
-        column.label(text=f"{status.task}...")
+        column.label(text=f"{iface_(status.task)}...", translate=False)
     layout.operator("curecon.cancel", icon="X")

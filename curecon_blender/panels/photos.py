@@ -56,7 +56,9 @@ class CURECON_PT_photos(Panel, bpy.types.Panel):
     def _draw_check(self, context: bpy.types.Context, check: bpy.types.PropertyGroup) -> None:
         box = self.layout.box()
         column = box.column(align=True)
-        column.label(text=f"{counted(check.photos, 'photo')}, {counted(check.cameras, 'camera')}", icon="CHECKMARK")
+        found = [counted(check.photos, "{:,} photo", "{:,} photos"),
+                 counted(check.cameras, "{:,} camera", "{:,} cameras")]
+        column.label(text=", ".join(found), icon="CHECKMARK", translate=False)
         if check.taken_first:
             column.label(text=_taken(check.taken_first, check.taken_last), icon="TIME", translate=False)
         if check.gps == check.photos:
@@ -71,7 +73,8 @@ class CURECON_PT_photos(Panel, bpy.types.Panel):
                          icon="DRIVER_DISTANCE")
         self._draw_overlap(context, box, check)
         if check.skipped:
-            paragraph(box, context, f"{counted(len(check.skipped), 'file')} left out:", icon="ERROR")
+            paragraph(box, context, counted(len(check.skipped), "{:,} file left out:", "{:,} files left out:"),
+                      icon="ERROR")
             for file in check.skipped[:SHOWN_SKIPPED]:
                 paragraph(box, context, file.reason)
             if len(check.skipped) > SHOWN_SKIPPED:
@@ -95,12 +98,13 @@ class CURECON_PT_photos(Panel, bpy.types.Panel):
         paragraph(box, context, text, icon="OVERLAY")
         if check.weak_count:
             text = iface_("{} overlap less than 60 % with any other: {}").format(
-                counted(check.weak_count, "photo"), _shortened(check.weak))
+                counted(check.weak_count, "{:,} photo", "{:,} photos"), _shortened(check.weak))
             paragraph(box, context, text, icon="ERROR")
 
     def _draw_doubtful(self, context: bpy.types.Context, check: bpy.types.PropertyGroup) -> None:
         box = self.layout.box()
-        text = iface_("{} look doubtful and will be used:").format(counted(len(check.doubtful), "photo"))
+        text = counted(len(check.doubtful), "{:,} photo looks doubtful and will be used:",
+                       "{:,} photos look doubtful and will be used:")
         paragraph(box, context, text, icon="ERROR")
         rows = min(len(check.doubtful), 5)
         box.template_list("CURECON_UL_doubtful", "", check, "doubtful", check, "doubtful_index", rows=rows)
@@ -115,10 +119,10 @@ def _taken(first: str, last: str) -> str:
     """The span of two ISO times, to the minute."""
     (first_day, _, first_time), (last_day, _, last_time) = first.partition("T"), last.partition("T")
     if first_day != last_day:
-        return f"{first_day} to {last_day}"
+        return iface_("{} to {}").format(first_day, last_day)
     if first_time[:5] == last_time[:5]:
         return f"{first_day}, {first_time[:5]}"
-    return f"{first_day}, {first_time[:5]} to {last_time[:5]}"
+    return iface_("{}, {} to {}").format(first_day, first_time[:5], last_time[:5])
 
 
 def _shortened(names: str) -> str:

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import bpy
+from bpy.app.translations import pgettext_iface as iface_
 
 from ..operators import rendering
 from ..operators.present_moves import KINDS
@@ -85,7 +86,8 @@ class CURECON_PT_present_photos(_Part, bpy.types.Panel):
         layout, camera = self.layout, context.scene.camera
         row = layout.row(align=True)
         row.operator("curecon.step_photo", text="", icon="TRIA_LEFT").back = True
-        row.label(text=camera.name if cameras.is_photo_camera(camera) else "No photo")
+        shown = camera.name if cameras.is_photo_camera(camera) else iface_("No photo")
+        row.label(text=shown, translate=False)
         row.operator("curecon.step_photo", text="", icon="TRIA_RIGHT").back = False
         layout.prop(present, "photo_opacity", slider=True)
 

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import bpy
+from bpy.app.translations import pgettext_iface as iface_
 
 from ..scene import cameras
 from ..scene.surface import surfaces_of
@@ -25,14 +26,19 @@ class CURECON_PT_result(Panel, bpy.types.Panel):
             return
         box = layout.box()
         column = box.column(align=True)
-        column.label(text=counted(sum(len(cloud.data.points) for cloud in clouds), "point"), icon="POINTCLOUD_DATA")
-        placed = f"{result.cameras} of {result.photos} photos placed" if result.photos else (
-            f"{counted(result.cameras, 'photo')} placed")
-        column.label(text=placed, icon="CAMERA_DATA")
+        count = sum(len(cloud.data.points) for cloud in clouds)
+        column.label(text=counted(count, "{:,} point", "{:,} points"), icon="POINTCLOUD_DATA", translate=False)
+        if result.photos:
+            placed = iface_("{} of {} photos placed").format(result.cameras, result.photos)
+        else:
+            placed = counted(result.cameras, "{:,} photo placed", "{:,} photos placed")
+        column.label(text=placed, icon="CAMERA_DATA", translate=False)
         if result.parts > 1:
-            column.label(text=f"In {result.parts} parts that do not connect", icon="ERROR")
+            parts = iface_("In {} parts that do not connect").format(result.parts)
+            column.label(text=parts, icon="ERROR", translate=False)
         if result.scale == "metres":
-            paragraph(box, context, f"True scale from {result.scale_source}", icon="DRIVER_DISTANCE")
+            source = iface_("True scale from {}").format(iface_(result.scale_source))
+            paragraph(box, context, source, icon="DRIVER_DISTANCE")
         else:
             column.label(text="Scale unknown: do not measure", icon="ERROR")
         if result.note:

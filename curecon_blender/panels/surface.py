@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import bpy
+from bpy.app.translations import pgettext_iface as iface_
 
 from ..operators import running
 from ..scene.surface import surfaces_of
@@ -44,11 +45,14 @@ class CURECON_PT_surface(Panel, bpy.types.Panel):
 
     def _draw_state(self, result: bpy.types.PropertyGroup) -> None:
         column = self.layout.box().column(align=True)
-        column.label(text=counted(result.faces, "face"), icon="MESH_DATA")
+        column.label(text=counted(result.faces, "{:,} face", "{:,} faces"), icon="MESH_DATA", translate=False)
         column.label(text="Painted with the photos" if result.textured else "Colours at the vertices only",
                      icon="TEXTURE" if result.textured else "COLOR")
-        column.label(text=f"{result.filled:.1f} % filled: no photo measured it" if result.filled >= 0.05 else
-                     "All of it measured", icon="OVERLAY")
+        if result.filled >= 0.05:
+            filled = iface_("{:.1f} % filled: no photo measured it").format(result.filled)
+        else:
+            filled = iface_("All of it measured")
+        column.label(text=filled, icon="OVERLAY", translate=False)
 
     def _draw_actions(self, result: bpy.types.PropertyGroup, found: bool) -> None:
         """The next action first and large."""
