@@ -28,6 +28,7 @@ from curecon_blender.core.export import Provenance
 from curecon_blender.core.types import GeoPosition
 
 WEB = Path(__file__).parent / "web"
+PATIENCE = 240  # seconds for the page on a busy computer
 QUARTERS = np.array([(200, 40, 30), (40, 180, 60), (50, 70, 200), (220, 200, 60)])
 ORIGIN = {"crs": "WGS84", "latitude": 24.5, "longitude": 117.25, "altitude": 310.0}
 
@@ -208,27 +209,39 @@ def test_a_glb_opens_in_a_browser(exports: Path, tmp_path: Path) -> None:
 
 
 def _browse(chromium: str, folder: Path) -> dict[str, Any]:
-    """What view.html, served from `folder`, found in model.glb."""
+    """What view.html, served from `folder`, found in model.glb: the page sends it once it has drawn the model."""
+
+    said: list[bytes] = []
+    done = threading.Event()
 
     class Quiet(http.server.SimpleHTTPRequestHandler):
         def log_message(self, *_: object) -> None: ...
+
+        def do_POST(self) -> None:
+            said.append(self.rfile.read(int(self.headers["Content-Length"])))
+            self.send_response(204)
+            self.end_headers()
+            done.set()
 
     with http.server.ThreadingHTTPServer(
         ("127.0.0.1", 0), functools.partial(Quiet, directory=str(folder))
     ) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
-        try:
-            ran = subprocess.run(
+        with (folder / "browser.log").open("w+") as log:
+            browser = subprocess.Popen(
                 [chromium, "--headless=new", "--no-sandbox", "--disable-gpu-sandbox", "--use-angle=swiftshader",
                  "--enable-unsafe-swiftshader", "--disable-dev-shm-usage", f"--user-data-dir={folder / 'profile'}",
-                 "--virtual-time-budget=20000", "--dump-dom", f"http://127.0.0.1:{server.server_port}/view.html"],
-                capture_output=True, text=True, timeout=120, check=False,
+                 "--remote-debugging-port=0", f"http://127.0.0.1:{server.server_port}/view.html"],
+                stdout=log, stderr=subprocess.STDOUT,
             )
-        finally:
-            server.shutdown()
-    body = ran.stdout.partition("<body>")[2].partition("</body>")[0]
-    assert body.startswith("{"), f"{ran.stdout[-2000:]}\n{ran.stderr[-2000:]}"
-    found: dict[str, Any] = json.loads(body)
+            try:
+                done.wait(PATIENCE)
+            finally:
+                browser.terminate()
+                browser.wait(30)
+                server.shutdown()
+    assert said, (folder / "browser.log").read_text()[-4000:]
+    found: dict[str, Any] = json.loads(said[0])
     return found
 
 
