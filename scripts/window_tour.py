@@ -37,11 +37,13 @@ TABS = 24  # pixels at the sidebar's right edge
 
 def tour(
     folder: Path, *, photos: int = len(NUMBERS), max_image_size: int = 0, samples: int = 16, patience: float = 1800,
+    full: bool = True,
 ) -> dict[str, Any]:
     """Run the tour with so many photos of the sample site; returns its report.
 
-    `max_image_size` in pixels, 0 for the quality's own; `patience` is what one job may take, in seconds. Raises
-    KeyError without CURECON_BLENDER, RuntimeError with Blender's words when the tour did not come to its end.
+    `max_image_size` in pixels, 0 for the quality's own; `patience` is what one job may take, in seconds. `full`
+    adds what the short tour leaves out (see tests/window/tour.py). Raises KeyError without CURECON_BLENDER,
+    RuntimeError with Blender's words when the tour did not come to its end.
     """
     command = shlex.split(os.environ[VARIABLE])
     folder = folder.resolve()
@@ -57,7 +59,7 @@ def tour(
     task = folder / "task.json"
     task.write_text(json.dumps({
         "out": str(folder), "archive": str(archive), "photos": str(site), "worker_python": sys.executable,
-        "max_image_size": max_image_size, "samples": samples, "patience": patience,
+        "max_image_size": max_image_size, "samples": samples, "patience": patience, "full": full,
     }))
     log = folder / "blender.log"
     with log.open("w") as said:

@@ -25,7 +25,7 @@ import window_tour  # noqa: E402
 )
 @pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="this Python has no torch for the worker")
 def test_a_newcomer_gets_from_the_zip_to_a_rendered_picture(tmp_path: Path) -> None:
-    report = window_tour.tour(tmp_path / "tour", photos=6, max_image_size=320, samples=4, patience=600)
+    report = window_tour.tour(tmp_path / "tour", photos=6, max_image_size=320, samples=4, patience=600, full=False)
     assert report["cameras"] == 6 and report["points"] > 1000 and report["faces"] > 1000
     assert 5 < report["measured"] < 200  # metres across a site of about sixty
     for name in report["pictures"]:

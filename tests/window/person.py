@@ -50,10 +50,10 @@ class Person:
         self.window.event_simulate("MOUSEMOVE", "NOTHING", x=x, y=y)
         yield 0.02
 
-    def press(self, key: str, x: int, y: int, *, ctrl: bool = False) -> Wait:
+    def press(self, key: str, x: int, y: int, *, ctrl: bool = False, shift: bool = False) -> Wait:
         yield from self.move(x, y)
         for value in ("PRESS", "RELEASE"):
-            self.window.event_simulate(key, value, x=x, y=y, ctrl=ctrl)
+            self.window.event_simulate(key, value, x=x, y=y, ctrl=ctrl, shift=shift)
             yield 0.02
 
     def click(self, x: int, y: int, *, ctrl: bool = False) -> Wait:

@@ -4,7 +4,8 @@
 
 scripts/window_tour.py starts it with a JSON of what to do; it writes tour.json and a picture of each step. Clicks and
 keys go through Blender's own event queue. By operator are done: installing (its dialog is the system's file browser),
-the drop (through the operator that Blender itself calls for a drop), and typing into fields.
+the drop (through the operator that Blender itself calls for a drop), typing into fields, and the file browser's own
+button. What "full" adds: cancelling and going on, undo, the frame's tools, elevations, stills and film, and an export.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import subprocess
 import sys
 import time
 import traceback
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -103,6 +105,14 @@ def reconstruct(person: Person) -> Wait:
     step("reconstructing")
     running = sys.modules[f"{MODULE}.curecon_blender.operators.running"]
     patience = task["patience"]
+    if task["full"]:
+        yield from person.until(lambda: running.status.overall > 0.1 or failure(), seconds=patience, what="a tenth")
+        yield from person.push("curecon.cancel")
+        yield from person.until(lambda: not busy(), seconds=60, what="the job is cancelled")
+        assert running.status.failure.kind == "cancelled", failure()
+        yield from person.picture("cancelled")
+        yield from person.push("curecon.reconstruct")
+        step("going on")
     yield from person.until(lambda: running.status.overall > 0.3 or failure(), seconds=patience, what="a third of it")
     yield from person.picture("progress")
     yield from person.until(lambda: not busy(), seconds=patience, what="the reconstruction")
@@ -115,6 +125,22 @@ def reconstruct(person: Person) -> Wait:
     yield from person.picture("result")
 
 
+def undo(person: Person) -> Wait:
+    """Ctrl+Z takes all of the import back, and the cube returns; Ctrl+Shift+Z brings it again."""
+    step("undo")
+
+    def stands() -> bool:
+        return any(item.type == "POINTCLOUD" for item in bpy.context.scene.objects)
+
+    yield from person.press("Z", *person.middle(), ctrl=True)
+    yield from person.until(lambda: not stands(), seconds=30, what="the import is undone")
+    assert "Cube" in bpy.context.scene.objects
+    yield from person.picture("undone")
+    yield from person.press("Z", *person.middle(), ctrl=True, shift=True)
+    yield from person.until(stands, seconds=30, what="the import is done again")
+    yield 1.0
+
+
 def cloud(person: Person) -> Wait:
     step("cloud")
     properties = bpy.context.scene.curecon
@@ -125,11 +151,8 @@ def cloud(person: Person) -> Wait:
     properties.cloud.colour_by = "PHOTO"
 
 
-def measure(person: Person) -> Wait:
-    """Pick two points of the cloud, far apart in the view."""
-    step("measure")
-    yield from person.open_only("CURECON_PT_frame")
-    yield from person.push("curecon.measure")
+def pick_two(person: Person) -> Iterator[float]:
+    """Click two points of the cloud, far apart in the view; returns (of the generator) where the second is."""
     item = next(item for item in bpy.context.scene.objects if item.type == "POINTCLOUD")
     every = max(len(item.data.points) // 2000, 1)
     points = [item.matrix_world @ item.data.points[i].co for i in range(0, len(item.data.points), every)]
@@ -143,9 +166,52 @@ def measure(person: Person) -> Wait:
         yield 0.3
         yield from person.click(x, y)
         yield 0.3
+    return x, y
+
+
+def measure(person: Person) -> Wait:
+    step("measure")
+    yield from person.open_only("CURECON_PT_frame")
+    yield from person.push("curecon.measure")
+    yield from pick_two(person)
     yield from person.picture("measure")
     (distance,) = bpy.context.scene.curecon.measurements
     report["measured"] = (Vector(distance.second) - Vector(distance.first)).length
+
+
+def frame(person: Person) -> Wait:
+    """Scale by two picked points, as far apart as they are, and the ground to Z = 0."""
+    step("frame")
+    properties = bpy.context.scene.curecon
+    yield from person.push("curecon.frame_scale")
+    place = yield from pick_two(person)
+    yield from person.picture("scale")  # the dialog under the pointer asks for the known distance
+    yield from person.press("RET", *place)
+    yield from person.until(lambda: "measured distance" in properties.result.scale_source, seconds=20, what="the scale")
+    yield from person.push("curecon.frame_ground")
+    yield 0.5
+    item = next(item for item in bpy.context.scene.objects if item.type == "POINTCLOUD")
+    report["lifted"] = item.matrix_world.translation.z
+    assert 5 < report["lifted"] < 15, report["lifted"]
+    yield from person.picture("ground")
+
+
+def export(person: Person) -> Wait:
+    step("export")
+    yield from person.push("curecon.export_surface")
+    yield 1.5
+    windows = bpy.context.window_manager.windows
+    window, browser = next((window, area) for window in windows for area in window.screen.areas
+                           if area.type == "FILE_BROWSER")
+    parameters = browser.spaces.active.params
+    parameters.directory, parameters.filename = str(out).encode(), "tulou.glb"
+    yield from person.picture("export")
+    region = next(region for region in browser.regions if region.type == "WINDOW")
+    with bpy.context.temp_override(window=window, area=browser, region=region):
+        bpy.ops.file.execute()
+    yield from person.until((out / "tulou.glb").is_file, seconds=task["patience"], what="the export")
+    report["exported"] = (out / "tulou.glb").stat().st_size
+    yield 1.0
 
 
 def surface(person: Person) -> Wait:
@@ -175,12 +241,33 @@ def present(person: Person) -> Wait:
     yield 0.5
     assert any(item.type == "LIGHT" and item.data.type == "SUN" for item in scene.objects)
     yield from person.open("CURECON_PT_present_moves")
+    if task["full"]:
+        scene.render.fps, scene.curecon.present.seconds = 2, 1.0  # a film of two pictures
     yield from person.push("curecon.move_camera")
     yield 0.5
     assert scene.camera.animation_data is not None, "the move's camera has no keys"
     for part in ("photos", "elevations", "output"):
         yield from person.open(f"CURECON_PT_present_{part}")
     yield from person.picture("present")
+
+
+def papers(person: Person) -> Wait:
+    """Elevations, stills, film and contact sheet, each with one click."""
+    folder = out / "papers"
+    properties = bpy.context.scene.curecon.present
+    properties.folder, properties.sheet_scale = str(folder), "500"
+    progress = sys.modules[f"{MODULE}.curecon_blender.operators.rendering"].progress
+    for button, last in (
+        ("curecon.render_elevations", "elevations.pdf"), ("curecon.render_showreel", "contact_sheet.pdf"),
+    ):
+        step(last)
+        yield from person.push(button)
+        yield from person.until(lambda: progress.done > 1, seconds=task["patience"], what="the second picture")
+        yield from person.picture(button.partition("render_")[2])
+        yield from person.until(lambda: not progress.running, seconds=task["patience"], what=last)
+        yield 1.0
+        assert (folder / last).is_file(), sorted(folder.iterdir())
+    report["papers"] = sorted(file.name for file in folder.iterdir())
 
 
 def render(person: Person) -> Wait:
@@ -208,11 +295,19 @@ def tour() -> Wait:
         yield from photos(person)
         yield from reconstruct(person)
         report["sidebar"] = person.sidebar_rectangle()
+        if task["full"]:
+            yield from undo(person)
         yield from cloud(person)
         yield from measure(person)
+        if task["full"]:
+            yield from frame(person)
         yield from surface(person)
+        if task["full"]:
+            yield from export(person)
         yield from present(person)
         yield from render(person)
+        if task["full"]:
+            yield from papers(person)
         step("end")
     except Exception:
         report["failed"] = traceback.format_exc()
