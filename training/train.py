@@ -196,8 +196,11 @@ def step(
     value.backward()
     if dist.is_initialized():
         average_gradients(state.network)
-    norm = torch.nn.utils.clip_grad_norm_(state.network.parameters(), GRADIENT_NORM)
-    if torch.isfinite(norm):  # a bad sample costs its step, not the run
+    # The refinement apart: while it is new, its gradients would take the cascade's share.
+    parts = [[p for n, p in state.network.named_parameters() if n.startswith("refinement.") == late]
+             for late in (False, True)]
+    norms = [torch.nn.utils.clip_grad_norm_(part, GRADIENT_NORM) for part in parts if part]
+    if all(norm.isfinite() for norm in norms):  # a bad sample costs its step, not the run
         state.optimiser.step()
     state.steps += 1
     state.samples += len(depth) * (dist.get_world_size() if dist.is_initialized() else 1)
