@@ -80,12 +80,11 @@ def box(scene: bpy.types.Scene, turned_by: float = 0.0) -> Box:
     places = points.subject(item)
     if not len(places):
         raise SurfaceError(f"{item.name} is empty.", remedy="Import its workspace again.")
-    direction = _walls_of(item) if is_surface(item) else None
-    turn = turned_by + (footprint.rectangle_direction(places[:, :2]) if direction is None else direction)
+    turn = turned_by + (_direction_of(item) if is_surface(item) else footprint.rectangle_direction(places[:, :2]))
     plan = footprint.turned(places[:, :2], turn)
-    low, high = np.percentile(plan, [1, 99], axis=0)
+    low, high = np.percentile(plan, [0.5, 99.5], axis=0)
     inside = places[np.all((plan >= low) & (plan <= high), axis=1), 2]
-    bottom, top = np.percentile(inside, 1), inside.max()  # a spire is few points and must not be cut off
+    bottom, top = inside.min(), inside.max()  # a spire is few points, and so are eaves: neither must be cut off
     middle = footprint.turned(((low + high) / 2)[None], -turn)[0]
     return Box(
         centre=np.array([*middle, (bottom + top) / 2]), half=np.array([*(high - low) / 2, (top - bottom) / 2]),
@@ -140,10 +139,16 @@ def _box_of_region(region: bpy.types.Object, turned_by: float) -> Box:
     )
 
 
-def _walls_of(item: bpy.types.Object) -> float | None:
+def _direction_of(item: bpy.types.Object) -> float:
+    """Of a surface's walls or, where it has none, of the rectangle about it."""
     count = len(item.data.polygons)
     normals, areas = np.empty((count, 3), np.float32), np.empty(count, np.float32)
     item.data.polygons.foreach_get("normal", normals.ravel())
     item.data.polygons.foreach_get("area", areas)
     rotation = np.array(item.matrix_world.to_3x3().normalized())
-    return footprint.wall_direction(normals @ rotation.T, areas)
+    walls = footprint.wall_direction(normals @ rotation.T, areas)
+    if walls is not None:
+        return walls
+    vertices = points.positions(item.data)
+    sample = vertices[:: max(1, len(vertices) // points.SUBJECT_SAMPLE)] @ np.array(item.matrix_world.to_3x3()).T
+    return footprint.rectangle_direction(sample[:, :2])
