@@ -26,6 +26,11 @@ def matching_score(centre_ref: np.ndarray, centre_src: np.ndarray, points: np.nd
 
 def depth_range(depths: np.ndarray) -> tuple[float, float]:
     """(near, far) for a sweep from the z-depths of a photo's sparse points: their 1st and 99th percentile, with a
-    margin of 20 % of the nearest and farthest depth for what has no sparse point."""
+    margin of 20 % of the nearest and farthest depth for what has no sparse point.
+
+    Open ground towards the horizon has few points, and hypotheses uniform in inverse depth reach it cheaply: where the
+    range is deep, the margin at its far end is a fifth of the sweep, up to four times the farthest depth.
+    """
     near, far = np.percentile(depths, [1.0, 99.0])
-    return float(near / 1.2), float(far * 1.2)
+    beyond = 1 / max(1 / far - 0.2 * (1 / near - 1 / far), 1 / (4 * far))
+    return float(near / 1.2), float(max(far * 1.2, beyond))
