@@ -78,6 +78,14 @@ def test_it_learns(scene: Scene, tmp_path: Path) -> None:
     assert np.mean(errors[-5:]) < 0.5 * np.mean(errors[:5])
 
 
+def test_the_refinement_alone_leaves_the_cascade_as_it_is(scene: Scene, tmp_path: Path) -> None:
+    state = start(tmp_path, torch.device("cpu"))
+    before = {name: value.clone() for name, value in state.network.state_dict().items()}
+    step(state, batch_tensors(samples(scene, 1), torch.device("cpu")), 100, bf16=True, refinement_only=True)
+    changed = {name for name, value in state.network.state_dict().items() if not torch.equal(value, before[name])}
+    assert changed and all(name.startswith("refinement.") for name in changed)
+
+
 def test_a_restart_keeps_the_averaged_weights_and_the_count(scene: Scene, tmp_path: Path) -> None:
     state = start(tmp_path, torch.device("cpu"))
     run(state, samples(scene, 3))

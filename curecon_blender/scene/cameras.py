@@ -88,7 +88,7 @@ def overlay(camera: bpy.types.Object, opacity: float) -> None:
 
 def is_overlaid(camera: bpy.types.Object | None) -> bool:
     """Whether one who looks through a camera sees its photo over the scene."""
-    return is_photo_camera(camera) and camera.data.show_background_images and any(
+    return camera is not None and is_photo_camera(camera) and camera.data.show_background_images and any(
         background.display_depth == "FRONT" and background.alpha > 0 for background in camera.data.background_images)
 
 
