@@ -52,6 +52,7 @@ MARKERS = {
     "macos-arm64": {"sys_platform": "darwin", "platform_system": "Darwin", "platform_machine": "arm64",
                     "os_name": "posix"},
 }
+OPTIONAL = {"distributed"}  # requirements-dask.txt: a user's own Python brings it
 # Blender brings its own, in its own process too: a wheel of it would come first on Blender's path and replace it.
 BLENDER_BRINGS = ("numpy",)
 # PyPI's torch for Linux is for NVIDIA cards, with three gigabytes of CUDA libraries. PyTorch's own index has the same
@@ -176,7 +177,8 @@ def check_lock(target: Target) -> list[str]:
         elif not requirement.specifier.contains(version, prereleases=True):
             wrong.append(f"{who} needs {requirement}, and the lock has {version}")
     importable = {*sys.stdlib_module_names, *BLENDER_BRINGS}.union(*(wheel.modules for wheel in wheels.values()))
-    wrong += [f"the worker imports {name}, which no wheel brings" for name in sorted(worker_imports() - importable)]
+    missing = worker_imports() - importable - OPTIONAL
+    wrong += [f"the worker imports {name}, which no wheel brings" for name in sorted(missing)]
     needed = {canonicalize_name(requirement.name) for _, requirement in asked}
     allowed = {_python_tag(target), "py3", "py2"}
     for wheel in wheels.values():

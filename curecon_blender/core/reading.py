@@ -21,9 +21,10 @@ from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import cache
 from pathlib import Path
 from tokenize import TokenError
-from typing import Annotated, Any, Literal, Protocol, Union, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, Union, get_args, get_origin, get_type_hints
 
-import numpy as np
+if TYPE_CHECKING:  # messages pass through here, and where numpy is missing the worker has to tell of it
+    import numpy as np
 
 MOST_JSON = 64 << 20  # bytes; views.json holds some 3 kB a photo
 MOST_TEXT = 10_000  # characters of one value
@@ -155,7 +156,7 @@ def _build(kind: Any, value: Any) -> Any:
         return value
     if is_dataclass(kind):
         return _record(kind, value)
-    if kind is np.ndarray:
+    if getattr(kind, "__module__", "") == "numpy":
         return _array(value)
     return _plain(kind, value)
 
@@ -198,6 +199,8 @@ def _plain(kind: Any, value: Any) -> Any:
 
 
 def _array(value: Any) -> np.ndarray:
+    import numpy as np
+
     rows = value if isinstance(value, list) and value and isinstance(value[0], list) else [value]
     if len(rows) > 16 or not all(isinstance(row, list) and len(row) <= 16 for row in rows):
         raise ValueError("no small array")
@@ -229,6 +232,8 @@ def read_arrays(path: Path, expected: Mapping[str, Expected]) -> dict[str, np.nd
 
 
 def _member(archive: zipfile.ZipFile, name: str, expected: Expected) -> np.ndarray:
+    import numpy as np
+
     with archive.open(f"{name}.npy") as file:
         version = np.lib.format.read_magic(file)
         read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
