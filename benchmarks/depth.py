@@ -70,6 +70,7 @@ def measure(width: int, height: int, sources: int, device: str, precision: str, 
             lambda level, *_: f"level {level}", network.regularisers_input)
         for level, regulariser in enumerate(network.regularisers):
             regulariser.forward = timed(lambda *_, level=level: f"level {level}", regulariser.forward)
+        network.refine = timed(lambda *_: "refinement", network.refine)  # type: ignore[method-assign]
         with PeakMemory() as before:
             pass
         with PeakMemory() as peak:
@@ -81,7 +82,8 @@ def measure(width: int, height: int, sources: int, device: str, precision: str, 
         features = sum(spent["features"])
         # A cut-up photo's features are computed for each tile anew, a whole one's once for all its uses.
         a_photo = cpu if tiles > 1 else cpu - features * sources / (sources + 1)
-        steps = "  ".join(f"{name} {sum(spent[name]):5.2f}" for name in ("features", "level 2", "level 1", "level 0"))
+        steps = "  ".join(f"{name} {sum(spent[name]):5.2f}"
+                          for name in ("features", "level 2", "level 1", "level 0", "refinement"))
         memory = (peak.bytes - before.bytes) / 2**30
         print(f"{width}x{height}  N={sources}  {str(estimator.dtype)[6:]:8}  {tiles:3} tiles  {steps}  all {cpu:6.2f}  "
               f"a photo {a_photo:6.2f} CPU s  {wall:6.1f} s  {memory:5.2f} GiB", flush=True)

@@ -225,7 +225,10 @@ class Job:
             if self.cancelled or self._arguments[:1] != ["reconstruct"] or HALF_MEMORY in self._arguments:
                 return False
             self._arguments.append(HALF_MEMORY)
-            self._process = self._start()
+            try:
+                self._process = self._start()
+            except (WorkerError, OSError):  # that it was killed is what must be told then
+                return False
         self._messages.put(Warning(
             text="The worker was killed by the system, most often because the computer ran out of memory: it goes on "
                  "with half the memory budget."

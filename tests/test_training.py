@@ -13,6 +13,7 @@ import subprocess
 import sys
 import time
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from box_scene import BOX, cast, make_view
 from conftest import ROOT
 from PIL import Image
 
+from curecon_blender.core.weights import load_network
 from training import build_assets, generator
 from training.assets import Assets
 from training.dataset import Sample, training_sample
@@ -78,12 +80,30 @@ def test_it_learns(scene: Scene, tmp_path: Path) -> None:
     assert np.mean(errors[-5:]) < 0.5 * np.mean(errors[:5])
 
 
-def test_the_refinement_alone_leaves_the_cascade_as_it_is(scene: Scene, tmp_path: Path) -> None:
-    state = start(tmp_path, torch.device("cpu"))
-    before = {name: value.clone() for name, value in state.network.state_dict().items()}
-    step(state, batch_tensors(samples(scene, 1), torch.device("cpu")), 100, bf16=True, refinement_only=True)
-    changed = {name for name, value in state.network.state_dict().items() if not torch.equal(value, before[name])}
+def test_a_refinement_learns_on_a_cascade_that_stays_as_it_is(tmp_path: Path) -> None:
+    views = [replace(view, K=np.diag([512 / view.width, 384 / view.height, 1]) @ view.K, width=512, height=384)
+             for view in (make_view(i, 30) for i in range(3))]
+    depth, images = zip(*(cast(view) for view in views), strict=True)
+    rng = np.random.default_rng(0)
+    points = np.column_stack([rng.uniform(-1, 1, (300, 2)), np.full(300, BOX[1, 2])]).astype(np.float32)
+    (tmp_path / "scenes").mkdir()
+    generator.save(Scene(
+        np.stack(images), np.stack(depth), np.stack([v.K for v in views]), np.stack([v.cam_from_world for v in views]),
+        points, np.ones((3, 300), bool)), tmp_path / "scenes" / "0.npz")
+
+    def learn(minutes: float) -> dict[str, torch.Tensor]:
+        subprocess.run(
+            [sys.executable, "-m", "training.refine", "--scenes", tmp_path / "scenes", "--run", tmp_path / "run",
+             "--maps", "2", "--minutes", str(minutes)], cwd=ROOT, check=True)
+        weights: dict[str, torch.Tensor] = torch.load(tmp_path / "run" / "state.pt", weights_only=True)["network"]
+        return weights
+
+    before = load_network().state_dict()
+    for minutes in (0.0, 0.3):  # stopped before the first map is made, then gone on
+        after = learn(minutes)
+    changed = {name for name, value in after.items() if not torch.equal(value, before[name])}
     assert changed and all(name.startswith("refinement.") for name in changed)
+    assert len(list((tmp_path / "run" / "maps").glob("*.npz"))) == 2
 
 
 def test_a_restart_keeps_the_averaged_weights_and_the_count(scene: Scene, tmp_path: Path) -> None:

@@ -172,24 +172,22 @@ def average_gradients(network: LCMMVSNet) -> None:
 
 def step(
     state: State, batch: dict[str, Tensor], horizon: int, bf16: bool, loss: Callable[..., Tensor] = total_loss,
-    fixed_statistics: bool = False, refinement_only: bool = False,
+    fixed_statistics: bool = False,
 ) -> dict[str, float]:
     """One optimiser step, with the other processes if there are any; returns the figures for the log.
 
-    `fixed_statistics`: batch normalisation keeps its running statistics, as it will in use. `refinement_only`: the
-    cascade stays as it is.
+    `fixed_statistics`: batch normalisation keeps its running statistics, as it will in use.
     """
     for group in state.optimiser.param_groups:
         group["lr"] = learning_rate(state.samples, horizon)
-    state.network.train(not (fixed_statistics or refinement_only))
+    state.network.train(not fixed_statistics)
     depth, near, far = batch["depth"], batch["near"], batch["far"]
     t = t_from_depth(depth.clamp_min(1e-3), near, far)
     valid = (depth > 0) & (t >= 0) & (t < 1)
     with torch.autocast(depth.device.type, torch.bfloat16, enabled=bf16):
-        with torch.set_grad_enabled(not refinement_only):
-            outputs = state.network(*(batch[k] for k in ("images", "K", "cam_from_world", "near", "far", "scores")))
+        outputs = state.network(*(batch[k] for k in ("images", "K", "cam_from_world", "near", "far", "scores")))
         refined = state.network.refine(batch["images"][:, 0], outputs) if state.network.config.refinement else None
-    value = t.new_zeros(()) if refinement_only else loss(outputs, t, valid, state.network.config.representation)
+    value = loss(outputs, t, valid, state.network.config.representation)
     estimate = outputs[-1].t
     if refined is not None:
         value = value + refinement_loss(refined, t, valid, outputs[-1].interval)
@@ -255,8 +253,7 @@ def train(rank: int, options: argparse.Namespace, rendezvous: str) -> None:
                         raise RuntimeError("the thread that reads scenes has ended; its error is above") from None
             batch = batch_tensors(samples, device)
             for name, value in step(state, batch, options.horizon, device.type in ("cpu", "cuda"),
-                                    fixed_statistics=options.fixed_statistics,
-                                    refinement_only=options.refinement_only).items():
+                                    fixed_statistics=options.fixed_statistics).items():
                 sums[name] = sums.get(name, 0.0) + value
             count += 1
             if rank == 0 and count == 50:
@@ -298,7 +295,6 @@ def main() -> None:
     parser.add_argument("--restart", action="store_true", help="begin the schedule anew from the averaged weights")
     parser.add_argument("--fixed-statistics", action="store_true",
                         help="keep batch normalisation's statistics: for going on from good weights")
-    parser.add_argument("--refinement-only", action="store_true", help="leave the cascade as it is")
     parser.add_argument("--processes", type=int, default=1, help="how many train together, on a CPU's cores")
     parser.add_argument("--device", default="auto")
     options = parser.parse_args()

@@ -3,8 +3,8 @@
 """A component's frame put right by what somebody measured on it: one similarity that scales, levels and turns.
 
 It turns and scales about the frame's origin, which it may lift or lower: the origin keeps its latitude and longitude,
-and its altitude is known. `adjustment.json` keeps it
-beside the component's frame.json, so that a model found anew, whose frame is another, does not inherit it.
+and its altitude is known. `adjustment.json` keeps it beside the component's frame.json, so that a model found anew,
+whose frame is another, does not inherit it.
 """
 
 from __future__ import annotations

@@ -90,7 +90,7 @@ def read_model(folder: Path) -> pycolmap.Reconstruction:
 
 
 def _check_numbers(model: pycolmap.Reconstruction) -> None:
-    """Raises ValueError where a place or a pose is no number or beyond reach, or a point names what is not there."""
+    """Raises ValueError where a place or a pose is no number, or beyond reach."""
     poses = [model.image(i).cam_from_world().matrix() for i in model.reg_image_ids()]
     places = [point.xyz for point in model.points3D.values()]
     for values in (np.array(poses), np.array(places)):

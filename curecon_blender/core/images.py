@@ -76,7 +76,7 @@ def open_image(path: Path) -> Iterator[Image.Image]:
                 f"{shown(path)} has {pixels / 1e6:.0f} megapixels: at most {MAX_PIXELS / 1e6:.0f} can be read.",
                 remedy="Scale it down, or cut it into single photos.", path=path,
             )
-        if (pixels > BOMB_PIXELS and pixels > BOMB_PIXELS_PER_BYTE * size) or _scans(image, path) > MOST_SCANS:
+        if pixels > BOMB_PIXELS and pixels > BOMB_PIXELS_PER_BYTE * size:
             raise PhotoError(
                 f"{shown(path)} unpacks to {pixels / 1e6:.0f} megapixels from {size / 1e3:.0f} kB, as no photo does.",
                 remedy="Leave it out: it may have been made to stop programs that open it.", path=path,
@@ -88,6 +88,11 @@ def decode(image: Image.Image, path: Path, max_size: int | None = None) -> np.nd
     """`read_rgb` for an image open in `open_image`. Decodes all of the file, so that damage anywhere is found."""
     size = scaled_size(*oriented_size(image), max_size)
     with _photo_errors(path):
+        if (scans := _scans(image, path)) > MOST_SCANS:
+            raise PhotoError(
+                f"{shown(path)} is drawn over {scans} times as it is decoded, as no photo is.",
+                remedy="Leave it out: it may have been made to stop programs that open it.", path=path,
+            )
         _draft(image, max_size)
         image.load()
         profile = image.info.get("icc_profile")

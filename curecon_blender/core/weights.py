@@ -18,7 +18,7 @@ from .network import LCMMVSNet, NetworkConfig
 from .reading import build, read_bytes, read_json
 
 SHIPPED = Path(__file__).parent.parent / "weights" / "lcm_mvsnet.safetensors"
-_MOST_BYTES = 1 << 30  # of a weights file; the shipped ones have 2 MB
+_MOST_BYTES = 1 << 30  # of a weights file; the shipped ones have 5 MB
 _WIDEST = 512  # channels, groups, hypotheses
 _REMEDY = "Install CU-Recon again, or choose a weights file that came with its .json beside it."
 
@@ -77,7 +77,8 @@ def _config(fields: Any) -> NetworkConfig:
     """Raises ValueError, for sizes that no computer could hold, too."""
     config: NetworkConfig = build(NetworkConfig, fields)
     sizes = (*config.channels, *config.groups, *config.hypotheses, *config.interval_ratios, config.regulariser_channels)
-    if not all(0 < size <= _WIDEST for size in sizes) or not 0 <= config.context <= _WIDEST:
+    extras = config.context, config.refinement
+    if not all(0 < size <= _WIDEST for size in sizes) or not all(0 <= size <= _WIDEST for size in extras):
         raise ValueError(f"its sizes are not within 1 and {_WIDEST}")
     if config.hypothesis_step is not None and not 0.1 <= config.hypothesis_step <= 100:
         raise ValueError("its hypothesis_step is not within 0.1 and 100")

@@ -139,8 +139,7 @@ def spacing(points: np.ndarray) -> float:
     low, high = np.percentile(sample, [1, 99], axis=0)
     cells_aside = SPACING_CELLS if len(points) > 50_000 else 1  # so that a cell holds enough neighbours
     cell = max(float((high - low).max()) / cells_aside, 1e-9)
-    cells = np.floor((points - low) / cell).astype(np.int32)
-    keys = (cells[:, 0].astype(np.int64) << 42) + (cells[:, 1].astype(np.int64) << 21) + cells[:, 2]
+    keys = _cell_keys(points, low, cell)
     chosen = np.unique(keys[rng.integers(0, len(points), SPACING_SAMPLES)])
     inside = np.flatnonzero(np.isin(keys, chosen))
     nearest = []
@@ -153,6 +152,12 @@ def spacing(points: np.ndarray) -> float:
     distances = np.sqrt(np.concatenate(nearest))
     distances = distances[np.isfinite(distances)]
     return float(np.median(distances)) if len(distances) else cell
+
+
+def _cell_keys(points: np.ndarray, low: np.ndarray, side: float) -> np.ndarray:
+    """A number (N,) int64 for the cubic cell of a grid from `low` (3,) that each of `points` (N,3) lies in."""
+    cells = np.floor((points - low) / side).astype(np.int64)
+    return (cells[:, 0] << 42) + (cells[:, 1] << 21) + cells[:, 2]
 
 
 def positions(data: bpy.types.PointCloud | bpy.types.Mesh) -> np.ndarray:
@@ -172,9 +177,7 @@ def about_the_subject(points: np.ndarray) -> np.ndarray:
     kept: np.ndarray = distance <= SUBJECT * np.median(distance)
     low, high = np.percentile(points[kept], [5, 95], axis=0)
     cell = max(float((high - low).max()) / SUBJECT_CELLS, 1e-9)
-    cells = np.floor((points[kept] - low) / cell).astype(np.int64)
-    keys = (cells[:, 0] << 42) + (cells[:, 1] << 21) + cells[:, 2]
-    _, cell_of, counts = np.unique(keys, return_inverse=True, return_counts=True)
+    _, cell_of, counts = np.unique(_cell_keys(points[kept], low, cell), return_inverse=True, return_counts=True)
     density = counts[cell_of]
     kept[kept] = density >= THIN * np.median(density)
     return kept

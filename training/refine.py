@@ -1,0 +1,175 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Train the refinement alone, on what a finished cascade says of rendered scenes; stop and resume at any moment.
+
+    python -m training.refine --scenes DIR --run DIR [--maps 1000] [--minutes 9] [--horizon 10000]
+
+The cascade stays as it is, so it is run once a map: RUN/maps fills with its outputs first, and each step of training
+takes one of those, which is twenty times quicker than a step of training.train. state.pt and log.jsonl are as there,
+and training.export turns the one into weights.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from curecon_blender.core.allocator import use_large_pages
+from curecon_blender.core.network import MULTIPLE, LCMMVSNet, full_shares, t_from_depth
+from curecon_blender.core.refinement import Refinement
+from curecon_blender.core.weights import SHIPPED
+from training.dataset import Sample, training_sample
+from training.generator import load
+from training.losses import INTERVALS, refinement_loss
+from training.train import GRADIENT_NORM, SAVE_EVERY, State, batch_tensors, learning_rate, save, start, update_ema
+
+SIZES = (768, 576), (512, 384)  # of a map
+CROP = 512, 384  # of a step: whole windows of the refinement must fit
+MAPS_A_SCENE = 3
+SOURCES = 2, 3, 4, 4, 4, 5
+_COLOURS, _UNIT = 255, 65535  # steps of a stored colour, of a stored sweep coordinate or share
+
+
+@torch.no_grad()
+def cascade_map(network: LCMMVSNet, sample: Sample) -> dict[str, np.ndarray]:
+    """What the refinement sees of a sample, and the truth: `image` (H,W,3) uint8; `t`, `truth` (H,W) and `shares`
+    (3,H,W) uint16 in steps of 1/65535; `valid` (H,W) where the truth lies within the sweep; the finest `interval`."""
+    batch = batch_tensors([sample], torch.device("cpu"))
+    with torch.autocast("cpu", torch.bfloat16):
+        outputs = network(*(batch[k] for k in ("images", "K", "cam_from_world", "near", "far", "scores")))
+    truth = t_from_depth(batch["depth"].clamp_min(1e-3), batch["near"], batch["far"])
+
+    def stored(values: Tensor) -> np.ndarray:
+        return np.round(values.float().clamp(0, 1).numpy() * _UNIT).astype(np.uint16)
+
+    return {
+        "image": sample.images[0], "t": stored(outputs[-1].t[0, 0]), "shares": stored(full_shares(outputs)[0]),
+        "truth": stored(truth[0, 0]), "valid": ((batch["depth"] > 0) & (truth >= 0) & (truth < 1))[0, 0].numpy(),
+        "interval": np.float32(outputs[-1].interval),
+    }
+
+
+def fill(folder: Path, count: int, scenes: list[Path], network: LCMMVSNet, stopped: Callable[[], bool]) -> None:
+    """Write maps to the folder until it holds `count` of them, each from a random view of a random scene."""
+    folder.mkdir(exist_ok=True)
+    network.eval().fold_batch_norm()
+    made = len(list(folder.glob("*.npz")))
+    rng = np.random.default_rng(made)
+    while made < count:
+        scene = load(scenes[int(rng.integers(len(scenes)))])
+        height, width = scene.depth.shape[1:]
+        sizes = [size for size in SIZES if size[0] <= width and size[1] <= height]
+        for _ in range(MAPS_A_SCENE if sizes else 0):
+            sample = training_sample(scene, rng, int(rng.choice(SOURCES)), sizes[int(rng.integers(len(sizes)))])
+            if stopped():
+                return
+            if sample is not None:
+                partial = folder / "map.partial"
+                with open(partial, "wb") as out:
+                    np.savez(out, **cascade_map(network, sample))
+                partial.rename(folder / f"{made:05d}.npz")
+                made += 1
+
+
+def crop_of(path: Path, rng: np.random.Generator) -> dict[str, Tensor]:
+    """A random crop of a map, mirrored or not, as the refinement's arguments: (1,C,H,W) each."""
+    with np.load(path) as data:
+        height, width = data["t"].shape
+        y = int(rng.integers((height - CROP[1]) // MULTIPLE + 1)) * MULTIPLE
+        x = int(rng.integers((width - CROP[0]) // MULTIPLE + 1)) * MULTIPLE
+        cut = np.s_[..., y : y + CROP[1], x : x + CROP[0]]
+        scale = {"image": _COLOURS, "t": _UNIT, "shares": _UNIT, "truth": _UNIT, "valid": 1}
+        parts = {name: np.moveaxis(data[name], -1, 0) if name == "image" else data[name] for name in scale}
+        found = {name: torch.from_numpy(np.atleast_3d(parts[name][cut].astype(np.float32)) / scale[name])
+                 for name in scale}
+        interval = torch.tensor(float(data["interval"]))
+    found = {name: (value if len(value) == 3 else value.permute(2, 0, 1))[None] for name, value in found.items()}
+    for axis in (2, 3):
+        if rng.random() < 0.5:
+            found = {name: value.flip(axis) for name, value in found.items()}
+    return {**found, "interval": interval}
+
+
+def step(state: State, crop: dict[str, Tensor], horizon: int) -> dict[str, float]:
+    """One optimiser step of the refinement; returns the figures for the log, those of the cascade among them."""
+    for group in state.optimiser.param_groups:
+        group["lr"] = learning_rate(state.steps, horizon)
+    truth, valid, interval = crop["truth"], crop["valid"] > 0, float(crop["interval"])
+    with torch.autocast("cpu", torch.bfloat16):
+        refinement = cast(Refinement, state.network.refinement)
+        refined = refinement(crop["image"], crop["t"], crop["shares"], interval)
+    value = refinement_loss(refined, truth, valid, interval)
+    state.optimiser.zero_grad(set_to_none=True)
+    value.backward()
+    if torch.nn.utils.clip_grad_norm_(refinement.parameters(), GRADIENT_NORM).isfinite():
+        state.optimiser.step()
+    state.steps += 1
+    update_ema(state)
+    figures = {"loss": value.item()}
+    for name, t in (("", refined.t), ("cascade_", crop["t"])):
+        error = ((t - truth).abs() * INTERVALS)[valid]
+        pixels = max(len(error), 1)
+        figures[f"{name}epe"] = error.clamp_max(64).sum().item() / pixels
+        figures[f"{name}e1"] = (error > 1).sum().item() / pixels * 100
+    return figures
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Train the refinement on a finished cascade; run it again to go on.")
+    parser.add_argument("--scenes", type=Path, required=True, help="rendered scenes (training.generator)")
+    parser.add_argument("--run", type=Path, required=True, help="folder of this run's maps, state and log")
+    parser.add_argument("--weights", type=Path, default=SHIPPED, help="begin a new run with these (.safetensors)")
+    parser.add_argument("--maps", type=int, default=1000, help="of the cascade, made before training begins")
+    parser.add_argument("--minutes", type=float, default=9.0)
+    parser.add_argument("--horizon", type=int, default=10000, help="steps at which the learning rate has come down")
+    options = parser.parse_args()
+    scenes = sorted(options.scenes.glob("*.npz"))
+    if not scenes:
+        parser.error(f"{options.scenes} holds no scenes")
+    options.run.mkdir(parents=True, exist_ok=True)
+    state = start(options.run, torch.device("cpu"), options.weights)
+    if not state.network.config.refinement:
+        parser.error(f"the network of {options.weights} has no refinement; train one with training.train")
+    state.network.eval()
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    began = saved = time.monotonic()
+
+    def stopped() -> bool:
+        return stop.is_set() or time.monotonic() - began > options.minutes * 60
+
+    fill(options.run / "maps", options.maps, scenes, start(options.run, torch.device("cpu"), options.weights).ema,
+         stopped)
+    maps = sorted((options.run / "maps").glob("*.npz"))
+    rng = np.random.default_rng(state.steps)
+    sums: list[dict[str, float]] = []
+    with open(options.run / "log.jsonl", "a") as log:
+        while not stopped():
+            sums.append(step(state, crop_of(maps[int(rng.integers(len(maps)))], rng), options.horizon))
+            if len(sums) == 200:
+                line = {"steps": state.steps, "seconds": round(time.monotonic() - began, 1),
+                        **{name: round(float(np.mean([s[name] for s in sums])), 4) for name in sums[0]}}
+                print(json.dumps(line), file=log, flush=True)
+                print(json.dumps(line), flush=True)
+                sums = []
+            if time.monotonic() - saved > SAVE_EVERY:
+                save(state, options.run)
+                saved = time.monotonic()
+    save(state, options.run)
+    print(f"{len(maps)} maps, {state.steps} steps; state in {options.run / 'state.pt'}")
+
+
+if __name__ == "__main__":
+    use_large_pages()
+    main()
