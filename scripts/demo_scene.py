@@ -86,7 +86,8 @@ def add_view(scene: bpy.types.Scene, imported: Imported) -> None:
         values = np.empty(len(data.points) * 3, np.float32)
         data.attributes["position"].data.foreach_get("vector", values)
         # Stored in random order: the first are a fair sample.
-        points = about_the_subject(values.reshape(-1, 3)[:50_000].astype(float))
+        points = values.reshape(-1, 3)[:50_000].astype(float)
+        points = points[about_the_subject(points)]
     else:
         points = positions
     if not len(points):

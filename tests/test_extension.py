@@ -14,9 +14,11 @@ import venv
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
+from conftest import ROOT, Run
+from PIL import Image
 
-ROOT = Path(__file__).resolve().parent.parent
 sys.path.append(str(ROOT / "scripts"))
 
 import build_extension  # noqa: E402 - the scripts are no package
@@ -103,6 +105,18 @@ def test_the_installation_is_checked(tmp_path: Path) -> None:
     venv.create(tmp_path / "bare", with_pip=False)
     bare = tmp_path / "bare" / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
     run_script(Path(sys.executable), "check_self_check.py", Path(sys.executable), bare, resources=tmp_path / "user")
+
+
+@pytest.mark.skipif(importlib.util.find_spec("bpy") is None, reason="bpy is not installed in this Python")
+def test_the_demo_ends_with_a_scene_and_a_picture_of_it(finished: tuple[Path, Run], tmp_path: Path) -> None:
+    subprocess.run(
+        [sys.executable, ROOT / "scripts" / "demo_scene.py", finished[0], tmp_path / "site.blend", tmp_path / "site.png"],
+        check=True, timeout=300, env=os.environ | {"BLENDER_USER_RESOURCES": str(tmp_path / "user")},
+    )
+    assert (tmp_path / "site.blend").stat().st_size > 100_000
+    picture = np.asarray(Image.open(tmp_path / "site.png").convert("L"))
+    sky = np.median(picture[:20])
+    assert (np.abs(picture.astype(int) - sky) > 10).mean() > 0.1, "the site does not fill the picture"
 
 
 def test_the_zip_installs_and_is_enabled(blender: Path, archive: Path, tmp_path: Path) -> None:
