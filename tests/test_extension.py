@@ -21,9 +21,9 @@ from PIL import Image
 
 sys.path.append(str(ROOT / "scripts"))
 
-import build_extension  # noqa: E402 - the scripts are no package
-import wheel_locks  # noqa: E402
-import windows_paths  # noqa: E402
+import build_extension
+import wheel_locks
+import windows_paths
 
 SCRIPTS = ROOT / "tests" / "blender"
 
@@ -110,8 +110,9 @@ def test_the_installation_is_checked(tmp_path: Path) -> None:
 @pytest.mark.skipif(importlib.util.find_spec("bpy") is None, reason="bpy is not installed in this Python")
 def test_the_demo_ends_with_a_scene_and_a_picture_of_it(finished: tuple[Path, Run], tmp_path: Path) -> None:
     subprocess.run(
-        [sys.executable, ROOT / "scripts" / "demo_scene.py", finished[0], tmp_path / "site.blend", tmp_path / "site.png"],
-        check=True, timeout=300, env=os.environ | {"BLENDER_USER_RESOURCES": str(tmp_path / "user")},
+        [sys.executable, ROOT / "scripts" / "demo_scene.py", finished[0], tmp_path / "site.blend",
+         tmp_path / "site.png"], check=True, timeout=300,
+        env=os.environ | {"BLENDER_USER_RESOURCES": str(tmp_path / "user")},
     )
     assert (tmp_path / "site.blend").stat().st_size > 100_000
     picture = np.asarray(Image.open(tmp_path / "site.png").convert("L"))
