@@ -12,6 +12,7 @@ import os
 import shlex
 import shutil
 import signal
+import sqlite3
 import subprocess
 import sys
 import time
@@ -230,6 +231,26 @@ def test_photos_moved_elsewhere_and_clocks_put_wrong_find_everything_done(
     assert run.code == 0 and run.said.count("already done") == 6, run.said
     assert {Path(view.original).parent for view in read(workspace)[0].views} == {photos}
     assert curecon(*arguments(photos, workspace, "texture")).said.count("already done") == 7
+
+
+def test_photos_that_were_added_join_the_others_whose_features_stay(small_photos: Path, tmp_path: Path) -> None:
+    photos, workspace = tmp_path / "photos", tmp_path / "w"
+    shutil.copytree(small_photos, photos)
+    (photos / SITE_PHOTOS[-1]).unlink()
+
+    def features() -> set[tuple[int, str, bytes]]:
+        with contextlib.closing(sqlite3.connect(workspace / "sparse" / "features.db")) as database:
+            return set(database.execute("SELECT image_id, name, data FROM images NATURAL JOIN descriptors"))
+
+    assert curecon(*arguments(photos, workspace, "views")).summary["registered"] == len(SITE_PHOTOS) - 1
+    with contextlib.closing(sqlite3.connect(workspace / "sparse" / "features.db")) as database, database:
+        # A trace that features found anew would not bear.
+        database.execute("UPDATE descriptors SET data = zeroblob(1) || substr(data, 2)")
+    before = features()
+    shutil.copy2(small_photos / SITE_PHOTOS[-1], photos)
+    run = curecon(*arguments(photos, workspace, "views"))
+    assert run.code == 0 and run.summary["registered"] == len(SITE_PHOTOS), run.said
+    assert features() > before
 
 
 def test_a_result_that_somebody_deleted_is_made_again(
