@@ -7,7 +7,8 @@
 Needs a window; WORKSPACE is a finished job's, with a cloud and at best a surface. A beat of ten milliseconds runs
 inside Blender; what is missing between two beats is a stall. Beside its wall time stands the processor time that the
 main thread spent in it, which does not grow where other programs use the processor too. Stalls count Blender's own
-drawing, which without a graphics card is most of them; the longest call of the add-on's own code stands beside them.
+drawing, which without a graphics card is most of them; the call of the add-on's own code that worked longest stands
+beside them with its name.
 `--preview` moves the sliders in Material Preview too, whose shaders take a minute to compile without a
 graphics card.
 """
@@ -20,7 +21,7 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import bpy
@@ -36,10 +37,10 @@ Wait = Iterator[float]
 
 class Heart:
     """Beats for as long as Blender answers. `stalls` are (wall, main thread's processor) seconds of this phase, and
-    `calls` those of the add-on's own code in it."""
+    `calls` those of the add-on's own code in it: (processor, wall, which)."""
 
     def __init__(self) -> None:
-        self.phase, self.began, self.stalls, self.calls = "", 0.0, [(0.0, 0.0)], [(0.0, 0.0)]
+        self.phase, self.began, self.stalls, self.calls = "", 0.0, [(0.0, 0.0)], [(0.0, 0.0, "")]
         self.last = time.monotonic(), time.thread_time()
 
     def beat(self) -> float:
@@ -50,7 +51,7 @@ class Heart:
 
     def begin(self, phase: str) -> None:
         self.end()
-        self.phase, self.began, self.stalls, self.calls = phase, time.monotonic(), [(0.0, 0.0)], [(0.0, 0.0)]
+        self.phase, self.began, self.stalls, self.calls = phase, time.monotonic(), [(0.0, 0.0)], [(0.0, 0.0, "")]
         self.last = time.monotonic(), time.thread_time()
 
     def end(self) -> None:
@@ -59,13 +60,13 @@ class Heart:
         self.beat()
         wall, cpu = max(self.stalls)
         over = sum(stall > LONG for stall, _ in self.stalls)
-        ours, ours_cpu = (1000 * max(column) for column in zip(*self.calls, strict=True))
+        ours_cpu, ours, which = max(self.calls)
         print(f"STALLS {self.phase:44s} {time.monotonic() - self.began:6.1f} s | longest {1000 * wall:6.0f} ms, "
-              f"{1000 * cpu:5.0f} of them working; {over:3d} over 0.1 s | our own {ours:5.0f}, {ours_cpu:5.0f} working",
-              flush=True)
+              f"{1000 * cpu:5.0f} of them working; {over:3d} over 0.1 s | "
+              f"our own {1000 * ours:5.0f}, {1000 * ours_cpu:5.0f} working {which}", flush=True)
 
-    def listen(self, holder: object, name: str) -> None:
-        """Time every call of a function of the add-on."""
+    def listen(self, holder: object, name: str, doing: Callable[[], str] = str) -> None:
+        """Time every call of a function of the add-on; `doing` says what it did."""
         function = getattr(holder, name)
 
         def timed(*arguments: object, **options: object) -> object:
@@ -73,7 +74,8 @@ class Heart:
             try:
                 return function(*arguments, **options)
             finally:
-                self.calls.append((time.monotonic() - began[0], time.thread_time() - began[1]))
+                wall, cpu = time.monotonic() - began[0], time.thread_time() - began[1]
+                self.calls.append((cpu, wall, f"in {name} {doing()}"))
 
         setattr(holder, name, timed)
 
@@ -195,18 +197,19 @@ def main() -> None:
     parser.add_argument("--photos", type=Path)
     parser.add_argument("--preview", action="store_true")
     options = parser.parse_args(sys.argv[sys.argv.index("--") + 1:])
+    from curecon_blender.operators import running
+    from curecon_blender.scene import display, history, viewport
+
+    heart = Heart()  # listens before Blender is given the functions
+    heart.listen(running.StepsOperator, "_go_on", lambda: running.status.task)
+    for holder, name in ((viewport._Upload, "go_on"), (viewport, "_let_nodes_show"), (display, "apply"),
+                         (display, "measure_range"), (history, "_follow")):
+        heart.listen(holder, name)
     curecon_blender.register()
     bpy.context.preferences.view.show_splash = False
     addon = bpy.context.preferences.addons.new()  # what enabling it would do, so that it has preferences
     addon.module = curecon_blender.ADDON
     addon.preferences.worker_python = options.worker_python
-    from curecon_blender.operators import running
-    from curecon_blender.scene import display, viewport
-
-    heart = Heart()
-    for holder, name in ((running.StepsOperator, "_go_on"), (viewport._Upload, "go_on"),
-                         (display, "apply"), (display, "measure_range")):
-        heart.listen(holder, name)
     steps = story(heart, options)
 
     def go_on() -> float | None:

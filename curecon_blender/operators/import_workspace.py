@@ -15,7 +15,7 @@ import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import BoolProperty, StringProperty
 
-from ..scene import cameras, history, surface, viewport, workspace
+from ..scene import cameras, history, points, surface, viewport, workspace
 from ..scene.surface import surfaces_of
 from ..scene.workspace import Imported, clouds_of
 from . import places, running
@@ -68,8 +68,8 @@ def _show(
     surface.light(scene, properties.surface_light == "SCENE")
     if imported.surfaces:
         viewport.show_texture(context, textured=imported.textured)
-    if frame and (found := [*imported.surfaces, *imported.clouds]):
-        viewport.frame(context, found[0])
+    if frame and imported.bounds is not None:
+        viewport.frame(context, imported.bounds)
     if imported.surfaces:
         said = rpt_("{:,} points, {:,} faces and {:,} cameras are in the scene.").format(
             imported.points, imported.faces, len(imported.cameras))
@@ -131,7 +131,9 @@ class CURECON_OT_frame_cloud(bpy.types.Operator):
         return places.site_stands(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        viewport.frame(context, [*surfaces_of(context.scene), *clouds_of(context.scene)][0])
+        item = [*surfaces_of(context.scene), *clouds_of(context.scene)][0]
+        if (bounds := points.bounds(points.subject(item))) is not None:
+            viewport.frame(context, bounds)
         return {"FINISHED"}
 
 

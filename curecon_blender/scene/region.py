@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Quaternion, Vector
 
-from .points import subject_bounds
+from .points import bounds, subject
 
 NAME = "CU-Recon Region"
 MARGIN = 0.1  # of the subject's size, on each side
@@ -16,8 +16,7 @@ MARGIN = 0.1  # of the subject's size, on each side
 
 def add(scene: bpy.types.Scene, around: bpy.types.Object) -> bpy.types.Object:
     """A box about the subject of a cloud or a surface, drawn as wires and never rendered."""
-    bounds = subject_bounds(around)
-    low, high = bounds if bounds is not None else (-np.ones(3), np.ones(3))
+    low, high = bounds(subject(around)) or (-np.ones(3), np.ones(3))
     middle, half = (low + high) / 2, np.maximum((high - low) * (0.5 + MARGIN), 1e-3)
     data = bpy.data.meshes.new(NAME)
     corners = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]

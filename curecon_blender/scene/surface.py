@@ -126,6 +126,7 @@ def build(
         data.materials.append(_material(f"{label} Filled", image, content.mean, filled=True))
     yield "Making the surface"
     data.update()
+    yield "Making the surface"
     data.shade_smooth()
     data.set_sharp_from_angle(angle=float(np.radians(SHARP_ANGLE)))
     data.color_attributes.active_color_name = COLOUR

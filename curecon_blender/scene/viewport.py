@@ -11,7 +11,7 @@ they come back by themselves after a file is loaded, an undo or a reload of the 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import bpy
 import gpu
@@ -20,7 +20,7 @@ from bpy.app.handlers import persistent
 from mathutils import Euler, Matrix, Vector
 
 from . import display
-from .points import CLOUD_KEY, COLOUR, subject_bounds
+from .points import CLOUD_KEY, COLOUR, Bounds
 from .workspace import clouds_of
 
 MAX_POINT_PIXELS = 40.0
@@ -118,11 +118,9 @@ def redraw() -> None:
                 area.tag_redraw()
 
 
-def frame(context: bpy.types.Context, item: bpy.types.Object) -> None:
-    """Turn every 3D viewport of the window to a cloud or a surface, without what lies far from most of it, from
-    obliquely above, with fitting clip planes. Viewports in camera view leave it."""
-    if (bounds := subject_bounds(item)) is None:
-        return
+def frame(context: bpy.types.Context, bounds: Bounds) -> None:
+    """Turn every 3D viewport of the window to what lies in `bounds`, from obliquely above, with fitting clip planes.
+    Viewports in camera view leave it."""
     low, high = bounds
     centre, size = (low + high) / 2, float(np.linalg.norm(high - low))
     for area in context.window.screen.areas if context.window is not None else ():
@@ -265,26 +263,35 @@ class _Upload:
 
     def __init__(self) -> None:
         self.whole = False
-        self._fetched: dict[str, np.ndarray] = {}
         self._batches: list[gpu.types.GPUBatch] = []
+        self._steps = self._work()
+        self._data: bpy.types.PointCloud
 
     def go_on(self, data: bpy.types.PointCloud) -> None:
         """Do what can be begun within PIECE_SECONDS."""
+        self._data = data  # Python's hold on it may be void by the next drawing
         deadline = time.monotonic() + PIECE_SECONDS
-        while not self.whole and time.monotonic() < deadline:
-            wanted = (name for name in _ATTRIBUTES if name in data.attributes and name not in self._fetched)
-            if (missing := next(wanted, None)) is not None:
-                field, width, kind = _ATTRIBUTES[missing]
-                values: np.ndarray = np.empty((len(data.points), width), kind)
-                data.attributes[missing].data.foreach_get(field, values.ravel())
-                self._fetched[missing] = values
-            elif (start := len(self._batches) * PIECE) < len(data.points):
-                self._batches.append(_batch({
-                    name: values[start : start + PIECE] for name, values in self._fetched.items()
-                }))
-            else:
-                self.whole = True
-                self._fetched.clear()
+        for _ in self._steps:
+            if time.monotonic() > deadline:
+                return
+        self.whole = True
+
+    def _work(self) -> Iterator[None]:
+        """A few milliseconds a step."""
+        count = len(self._data.points)
+        fetched: dict[str, np.ndarray] = {}
+        for name, (field, width, kind) in _ATTRIBUTES.items():
+            if name not in self._data.attributes:
+                continue
+            values = fetched[name] = np.empty((count, width), kind)
+            for start in range(0, count, PIECE):  # the system may take a tenth of a second to find all of it at once
+                values[start : start + PIECE] = 0
+                yield
+            self._data.attributes[name].data.foreach_get(field, values.ravel())
+            yield
+        for start in range(0, count, PIECE):
+            self._batches.append(_batch({name: values[start : start + PIECE] for name, values in fetched.items()}))
+            yield
 
     def draw(self, shader: gpu.types.GPUShader, count: int) -> None:
         """Draw the first `count` points, or those of them that have come so far."""

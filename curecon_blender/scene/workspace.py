@@ -28,7 +28,7 @@ UNPLACED_KEY = "curecon_unplaced"  # on the collection while it is built, and in
 @dataclass(frozen=True, kw_only=True)
 class Imported:
     """What an import brought in. `clouds` are the PointCloud objects and `surfaces` the mesh objects, largest component
-    first; `filled` is the share of the surfaces' area that no photo measured."""
+    first; `filled` is the share of the surfaces' area that no photo measured; `bounds` is what a view should hold."""
 
     collection: bpy.types.Collection
     clouds: tuple[bpy.types.Object, ...]
@@ -41,6 +41,7 @@ class Imported:
     missing_pictures: int
     stale_edits: bool  # points were taken out of an earlier cloud; this one has all of its own
     cleared: bool  # the cube, camera and light of a new file made room
+    bounds: points.Bounds | None
 
     @property
     def points(self) -> int:
@@ -68,13 +69,14 @@ class PartContent:
 
 @dataclass(frozen=True, kw_only=True)
 class Content:
-    """All that a workspace `folder` brings into a scene, in arrays as Blender stores them; `filled` and `stale_edits`
-    as in Imported."""
+    """All that a workspace `folder` brings into a scene, in arrays as Blender stores them; `filled`, `stale_edits` and
+    `bounds` as in Imported."""
 
     folder: Path
     parts: tuple[PartContent, ...]
     filled: float
     stale_edits: bool
+    bounds: points.Bounds | None
 
 
 def read(folder: Path) -> Content:
@@ -97,7 +99,7 @@ def read(folder: Path) -> Content:
         ))
     return Content(
         folder=folder, parts=tuple(parts), filled=filled_share(meshes),
-        stale_edits=any(is_stale(folder / part.component.cloud) for part in parts),
+        stale_edits=any(is_stale(folder / part.component.cloud) for part in parts), bounds=_bounds(parts),
     )
 
 
@@ -161,6 +163,16 @@ def _read_surface(folder: Path, index: int) -> tuple[Mesh, list[Path]] | None:
     return None
 
 
+def _bounds(parts: list[PartContent]) -> points.Bounds | None:
+    """What the largest part with a surface, or else with a cloud, is about."""
+    for part in sorted(parts, key=lambda part: part.surface is None):
+        places = part.surface.mesh.vertices if part.surface is not None else None
+        cloud = part.cloud.points if part.cloud is not None else places
+        if cloud is not None:
+            return points.bounds(points.subject_of(cloud, part.adjustment.matrix, within=places))
+    return None
+
+
 def _child(parent: bpy.types.Collection, name: str) -> bpy.types.Collection:
     child = bpy.data.collections.new(name)
     parent.children.link(child)
@@ -216,7 +228,7 @@ def _place(scene: bpy.types.Scene, content: Content, top: bpy.types.Collection) 
         frame=placed[0].frame if placed else Frame(scale="unknown", up="given"),
         scale_source=placed[0].scale_source if placed else "", parts=len(content.parts),
         missing_pictures=sum(not item.data.background_images for item in photo_cameras),
-        stale_edits=content.stale_edits, cleared=cleared,
+        stale_edits=content.stale_edits, cleared=cleared, bounds=content.bounds,
     )
 
 
