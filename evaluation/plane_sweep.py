@@ -1,36 +1,18 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The baseline beside the network: a plane sweep with normalised cross-correlation (NCC), winner takes all.
+"""A plane sweep with normalised cross-correlation (NCC), winner takes all: the simplest of the baselines.
 
-Same views, source views and depth ranges as the network, from views.json. 128 planes facing the reference, uniform in
-inverse depth between near and far; NCC of grey values in 7x7 windows; at each pixel and plane the mean over the better
-half of the sources, which is what occlusion leaves; the best plane, refined by a parabola through its neighbours.
-Confidence is that mean NCC, negative values as 0: fusion's usual threshold then asks for NCC of at least 0.3.
-
-    python -m evaluation.plane_sweep WORKSPACE [--out FOLDER] [--min-confidence 0.3]
-
-FOLDER (default: WORKSPACE-plane-sweep) becomes a workspace of its own, with copies of views.json, undistorted/ and
-the sparse models, its depth maps and, by the same fusion as the network's, its clouds.
+128 planes facing the reference, uniform in inverse depth between near and far; NCC of grey values in 7x7 windows; at
+each pixel and plane the mean over the better half of the sources, which is what occlusion leaves; the best plane,
+refined by a parabola through its neighbours. Confidence is that mean NCC, negative values as 0: fusion's usual
+threshold then asks for NCC of at least 0.3.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-import shutil
-import sys
-import time
-from pathlib import Path
-
 import cv2
 import numpy as np
 
-from curecon_blender.core import components, images
-from curecon_blender.core.errors import CuReconError, WorkspaceError
-from curecon_blender.core.files import atomic_write, disk_errors
-from curecon_blender.core.fusion import NoPointsError, fuse
-from curecon_blender.core.messages import Message, Progress, Reporter, Warning
-from curecon_blender.core.options import Options
 from curecon_blender.core.types import View
 
 PLANES = 128
@@ -125,85 +107,3 @@ def _better_half(scores: list[np.ndarray]) -> np.ndarray:
         count += wanted
     total /= count
     return total
-
-
-def run(workspace: Path, out: Path, reporter: Reporter) -> float:
-    """Sweep every view of a workspace into another; returns the mean seconds a photo. Finished photos are kept.
-
-    Raises WorkspaceError when the workspace has no views or `out` is the same folder.
-    """
-    if out.resolve() == workspace.resolve():
-        raise WorkspaceError(f"{out} holds the network's depth maps.", path=out, remedy="Give another --out folder.")
-    found = components.read(workspace)
-    views = [(component, view) for component in found for view in component.views]
-    with disk_errors(out):
-        out.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(workspace / components.FILE_NAME, out / components.FILE_NAME)
-        shutil.copytree(workspace / "undistorted", out / "undistorted", dirs_exist_ok=True)
-        for component in found:
-            shutil.copytree(workspace / component.sparse, out / component.sparse, dirs_exist_ok=True)
-    spent = []
-    for done, (component, view) in enumerate(views):
-        reporter.progress(done, len(views))
-        path = out / "depth" / f"{view.name}.npz"
-        if path.exists():
-            continue
-        start = time.monotonic()
-        by_name = {v.name: v for v in component.views}
-        sources = [(by_name[name], _read_grey(workspace, by_name[name])) for name, _ in view.sources]
-        depth, confidence = sweep(view, _read_grey(workspace, view), sources)
-        with atomic_write(path) as file:
-            np.savez_compressed(file, depth=depth, confidence=confidence.astype(np.float16), K=view.K,
-                                cam_from_world=view.cam_from_world)
-        spent.append(time.monotonic() - start)
-    reporter.progress(len(views), len(views))
-    return float(np.mean(spent)) if spent else 0.0
-
-
-def _read_grey(workspace: Path, view: View) -> np.ndarray:
-    return np.asarray(cv2.cvtColor(images.read_rgb(workspace / view.image), cv2.COLOR_RGB2GRAY))
-
-
-def _print(message: Message) -> None:
-    if isinstance(message, Progress):
-        print(f"{message.stage} {message.done}/{message.total}", file=sys.stderr)
-    elif isinstance(message, Warning):
-        print(message.text, file=sys.stderr)
-
-
-def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="python -m evaluation.plane_sweep", description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("workspace", type=Path)
-    parser.add_argument("--out", type=Path)
-    parser.add_argument("--min-confidence", type=float, default=Options.min_confidence)
-    parser.add_argument("--json", action="store_true", help="print JSON in place of a line of text")
-    args = parser.parse_args(arguments)
-    out = args.out or args.workspace.with_name(f"{args.workspace.name}-plane-sweep")
-    reporter = Reporter(_print)
-    reporter.begin(("depth", "fusion"))
-    options = Options(photos=args.workspace, workspace=out, min_confidence=args.min_confidence)
-    try:
-        reporter.stage("depth")
-        seconds = run(args.workspace, out, reporter)
-        reporter.stage("fusion")
-        points = {}
-        for component in components.read(out):
-            try:
-                points[component.cloud] = fuse(component, out, options, reporter)
-            except NoPointsError as error:
-                reporter.warning(f"{error.message} {error.remedy}")
-        if not points:
-            return NoPointsError.exit_code
-    except CuReconError as error:
-        print(f"{error.message}\n{error.remedy}", file=sys.stderr)
-        return error.exit_code
-    if args.json:
-        print(json.dumps({"workspace": str(out), "seconds_per_photo": seconds, "points": points}))
-    else:
-        print(f"{out}: {seconds:.1f} s a photo; " + ", ".join(f"{n} points in {c}" for c, n in points.items()))
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

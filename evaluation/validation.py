@@ -20,14 +20,12 @@ import json
 import sys
 import tempfile
 import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from curecon_blender.core import images
 from curecon_blender.core.allocator import use_large_pages
 from curecon_blender.core.depth import DepthEstimator
 from curecon_blender.core.options import Options
@@ -36,13 +34,13 @@ from curecon_blender.core.weights import load_network
 from training.dataset import source_scores, sparse_depth_range
 from training.generator import Scene, back_project, load, project
 
-from . import depth_metrics, plane_sweep
+from . import depth_metrics
+from .baselines import METHODS, Estimate, Method
 from .depth_metrics import DepthErrors
 
 SURE = 0.9
 OBSERVERS = 2
 OCCLUSION = 0.01  # relative depth by which a source may see something nearer and still see the pixel
-Estimate = tuple[np.ndarray, np.ndarray]  # depth (H,W), 0 where none, and confidence (H,W)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +101,7 @@ def observers(scene: Scene, reference: int, sources: list[int]) -> np.ndarray:
     return np.where(truth > 0, count, 0).reshape(height, width)
 
 
-def network_method(weights: Path | None) -> Callable[[View, list[View], Path], Estimate]:
+def network_method(weights: Path | None) -> Method:
     """LCM-MVSNet as in use, with one set of weights (None: those that ship)."""
     network = load_network(weights)
 
@@ -114,32 +112,8 @@ def network_method(weights: Path | None) -> Callable[[View, list[View], Path], E
     return estimate
 
 
-def plane_sweep_method(view: View, sources: list[View], folder: Path) -> Estimate:
-    grey = [cv2.cvtColor(images.read_rgb(folder / v.image), cv2.COLOR_RGB2GRAY) for v in (view, *sources)]
-    return plane_sweep.sweep(view, grey[0], list(zip(sources, grey[1:], strict=True)))
-
-
-def patchmatch_method(view: View, sources: list[View], folder: Path) -> Estimate:
-    import ppg_core
-
-    def grey(v: View) -> np.ndarray:
-        picture = cv2.cvtColor(images.read_rgb(folder / v.image), cv2.COLOR_RGB2GRAY)
-        return np.ascontiguousarray(picture, np.float32) / 255
-
-    def intrinsics(v: View) -> tuple[float, float, float, float]:  # its pixel centres lie at whole numbers
-        return float(v.K[0, 0]), float(v.K[1, 1]), float(v.K[0, 2] - 0.5), float(v.K[1, 2] - 0.5)
-
-    others = []
-    for source in sources:
-        rotation = source.cam_from_world[:, :3] @ view.cam_from_world[:, :3].T
-        translation = source.cam_from_world[:, 3] - rotation @ view.cam_from_world[:, 3]
-        others.append((grey(source), intrinsics(source), rotation, translation))
-    depth, _, cost = ppg_core.patchmatch_depth(grey(view), intrinsics(view), others, (view.near, view.far))
-    return depth, np.where(depth > 0, np.clip(1 - cost, 0, 1), 0)
-
-
 def measure(
-    method: Callable[[View, list[View], Path], Estimate], scenes: list[Path], references: int, sources: int, sweep: str
+    method: Method, scenes: list[Path], references: int, sources: int, sweep: str
 ) -> Result:
     """Mean errors of a method over the references of all scenes."""
     errors, observed, seconds = [], [], []
@@ -169,7 +143,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m evaluation.validation", description=__doc__,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", type=Path)
-    parser.add_argument("--methods", nargs="+", choices=("network", "plane-sweep", "patchmatch"),
+    parser.add_argument("--methods", nargs="+", choices=("network", *METHODS),
                         default=["network", "plane-sweep"])
     parser.add_argument("--weights", type=Path, help="of the network (default: those that ship)")
     parser.add_argument("--references", type=int, default=2, help="a scene")
@@ -181,10 +155,8 @@ def main(arguments: list[str] | None = None) -> int:
     if not scenes:
         print(f"{args.scenes} holds no scenes; make some with training.generator.", file=sys.stderr)
         return 2
-    makers = {"network": lambda: network_method(args.weights), "plane-sweep": lambda: plane_sweep_method,
-              "patchmatch": lambda: patchmatch_method}
-    results = {name: measure(makers[name](), scenes, args.references, args.sources, args.range)
-               for name in args.methods}
+    results = {name: measure(METHODS.get(name) or network_method(args.weights), scenes, args.references, args.sources,
+                             args.range) for name in args.methods}
     if args.json:
         print(json.dumps({name: asdict(result) for name, result in results.items()}))
         return 0

@@ -28,7 +28,7 @@ from curecon_blender.core.messages import Reporter
 from curecon_blender.core.options import Options
 from curecon_blender.core.ply import Cloud, CloudWriter, read_cloud
 from curecon_blender.core.types import Frame, GeoPosition, View
-from evaluation import cloud_metrics, depth_metrics, plane_sweep, site
+from evaluation import baselines, cloud_metrics, depth_metrics, plane_sweep, site
 from evaluation.alignment import align, read_centres
 from evaluation.depth_metrics import DepthRange, depth_errors
 from training.generator import Scene, save
@@ -56,7 +56,7 @@ def answer(module: str, *arguments: object) -> Any:
     return json.loads(done.stdout)
 
 
-@pytest.mark.parametrize("module", ["depth_metrics", "cloud_metrics", "plane_sweep", "site", "validation"])
+@pytest.mark.parametrize("module", ["depth_metrics", "cloud_metrics", "baselines", "site", "validation"])
 def test_each_starts_as_a_command_and_explains_itself(module: str) -> None:
     done = subprocess.run([sys.executable, "-m", f"evaluation.{module}", "--help"], cwd=ROOT, capture_output=True,
                           text=True, timeout=120, check=True)
@@ -294,7 +294,7 @@ def swept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, dict]:
     """A workspace of four photos on an arc, and what the plane sweep's command made of it."""
     workspace = tmp_path_factory.mktemp("sweep") / "site one"
     write_scene(workspace, [make_view(i, 4, arc=32.0) for i in range(4)])
-    summary = answer("plane_sweep", workspace)
+    summary = answer("baselines", workspace)
     return workspace, workspace.with_name("site one-plane-sweep"), summary
 
 
@@ -322,7 +322,7 @@ def test_plane_sweep_fuses_into_a_workspace_of_its_own(swept: tuple[Path, Path, 
 
 def test_plane_sweep_does_not_write_over_the_networks_depth(swept: tuple[Path, Path, dict]) -> None:
     workspace = swept[0]
-    done = command("plane_sweep", workspace, "--out", workspace)
+    done = command("baselines", workspace, "--out", workspace)
     assert done.returncode == WorkspaceError.exit_code and "--out" in done.stderr
 
 
@@ -331,7 +331,7 @@ def test_plane_sweep_goes_on_from_the_last_finished_photo(swept: tuple[Path, Pat
     done, missing, *_ = sorted((out / "depth").iterdir())
     before, depth = done.stat().st_mtime_ns, depth_metrics.read_depth(missing)
     missing.unlink()
-    plane_sweep.run(workspace, out, Reporter())
+    baselines.run(workspace, out, baselines.plane_sweep, Reporter())
     assert done.stat().st_mtime_ns == before
     np.testing.assert_array_equal(depth_metrics.read_depth(missing), depth)
 
