@@ -63,7 +63,7 @@ def tour(
     }))
     log = folder / "blender.log"
     with log.open("w") as said:
-        subprocess.run(
+        ended = subprocess.run(
             [*command, "--factory-startup", "--enable-event-simulate",
              "--python", str(ROOT / "tests" / "window" / "tour.py"), "--", str(task)],
             cwd=ROOT, stdout=said, stderr=subprocess.STDOUT, check=False,
@@ -74,6 +74,8 @@ def tour(
     report = json.loads((folder / "tour.json").read_text())
     if "failed" in report:
         raise RuntimeError(f"{report['failed']}\nIts window: {folder / 'failed.png'}\n{log.read_text()}")
+    if ended.returncode:
+        raise RuntimeError(f"Blender crashed as it quit:\n{log.read_text()}")
     return report
 
 

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -125,6 +126,18 @@ def test_a_sheet_of_unknown_scale_or_north_says_so() -> None:
     shared = np.array([corner for corner in black[0] if np.isclose(corner, white[0]).all(axis=1).any()])
     along = shared[np.argmax(shared.sum(axis=1))] - shared[np.argmin(shared.sum(axis=1))]  # the arrow's spine
     assert np.degrees(np.arctan2(*along)) == pytest.approx(45, abs=0.1)
+
+
+@pytest.mark.parametrize("size", [(200, 100), (150, 200)])
+@pytest.mark.parametrize("north", [None, 14.0])
+def test_nothing_is_written_over_the_scale_bar(size: tuple[int, int], north: float | None) -> None:
+    field = np.zeros((4 * size[1], 4 * size[0], 3), np.uint8)
+    laid = sheet.lay_out(replace(drawing(scale=1000, north=north), pixels=field, title="A long title " * 4), Letters())
+    boxes = [(*fill.triangles.min(axis=(0, 1)), *fill.triangles.max(axis=(0, 1))) for fill in laid.fills]
+    x0, y0, x1, y1 = next(box for box in boxes if box[2] - box[0] == pytest.approx(50) and box[3] - box[1] < 3)
+    parts = [box for box in boxes if x0 <= box[0] and box[2] <= x1 and y0 <= box[1] and box[3] <= y1]
+    over = [box for box in boxes if box not in parts and box[0] < x1 and box[2] > x0 and box[1] < y1 and box[3] > y0]
+    assert not over and len(parts) == 3
 
 
 def test_a_sheet_is_drawn_pixel_for_pixel() -> None:

@@ -114,17 +114,19 @@ def lay_out(drawing: Drawing, letters: Letters) -> Sheet:
     _frame(sheet, left, MARGIN, right, top)
     sheet.fills.append(Fill(triangles=rectangle(left, MARGIN + STRIP, right, MARGIN + STRIP + LINE)))
     base, third = MARGIN + STRIP / 2, (right - left) / 3
-    _write(sheet, letters, drawing.title, left + 4, base + 2.5, 5.0, most=1.2 * third)
-    _write(sheet, letters, drawing.name, left + 4, base - 5.5, 3.6, most=1.2 * third)
-    _scale(sheet, letters, drawing.scale, left + 1.35 * third, base)
-    turn = f"{drawing.orientation}  ·  {drawing.date}"
     end = right - 4
     if drawing.north is not None:
         _north(sheet, letters, drawing.north, right - 13, base)
         end = right - 26
+    words = 0.75 * third
+    bar = min(left + 1.35 * third, end - words - GAP - LONGEST_BAR)  # on upright paper all three stand close
+    _write(sheet, letters, drawing.title, left + 4, base + 2.5, 5.0, most=bar - left - GAP)
+    _write(sheet, letters, drawing.name, left + 4, base - 5.5, 3.6, most=bar - left - GAP)
+    _scale(sheet, letters, drawing.scale, bar, base)
     known = f"Scale 1:{drawing.scale} on {paper}" if drawing.scale else "Scale unknown"
-    _write(sheet, letters, known, end, base + 2.5, 3.6, align=1)
-    _write(sheet, letters, turn, end, base - 5.5, 2.8, align=1, most=0.75 * third)
+    _write(sheet, letters, known, end, base + 2.5, 3.6, align=1, most=words)
+    turn = f"{drawing.orientation}  ·  {drawing.date}"
+    _write(sheet, letters, turn, end, base - 5.5, 2.8, align=1, most=words)
     return sheet
 
 

@@ -74,6 +74,8 @@ class CURECON_OT_check_photos(WorkerOperator, bpy.types.Operator):
                 entry.name, entry.seconds = f"{quality}:{goal}", cost["seconds"]
                 entry.memory_gib, entry.disk_gib = cost["memory_gib"], cost["disk_gib"]
         check.free_memory_gib, check.free_disk_gib = summary["free_memory_gib"], summary["free_disk_gib"]
+        if not check.skipped:
+            return rpt_("{} photos can be used.").format(check.photos)
         return rpt_("{} photos can be used, {} files cannot.").format(check.photos, len(check.skipped))
 
 

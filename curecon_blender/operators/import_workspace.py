@@ -68,6 +68,7 @@ def _show(
     surface.light(scene, properties.surface_light == "SCENE")
     if imported.surfaces:
         viewport.show_texture(context, textured=imported.textured)
+        viewport.light(context, properties.surface_light == "SCENE")
     if frame and imported.bounds is not None:
         viewport.frame(context, imported.bounds)
     if imported.surfaces:

@@ -84,7 +84,8 @@ def close() -> None:
     _job, status.running = None, False
     for window in bpy.context.window_manager.windows:  # Blender drops a switched-off add-on's operators without a word
         if window.workspace is not None:
-            window.workspace.status_text_set(None)
+            with bpy.context.temp_override(window=window):  # without a window, as at times when it quits, it crashes
+                window.workspace.status_text_set(None)
 
 
 def line() -> str:
@@ -165,8 +166,6 @@ class StepsOperator:
         self._steps.close()
         if self._timer is not None:
             context.window_manager.event_timer_remove(self._timer)
-        if context.workspace is not None:
-            context.workspace.status_text_set(None)
 
     def _begin(self, context: bpy.types.Context) -> None:
         global status, step

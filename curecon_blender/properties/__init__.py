@@ -84,6 +84,7 @@ def _show_filled(properties: CURECON_PG_scene, context: bpy.types.Context) -> No
 
 def _surface_light(properties: CURECON_PG_scene, context: bpy.types.Context) -> None:
     surface.light(properties.id_data, properties.surface_light == "SCENE")
+    viewport.light(context, properties.surface_light == "SCENE")
 
 
 def _licences(properties: CURECON_PG_scene, context: bpy.types.Context, typed: str) -> list[str]:
@@ -143,8 +144,8 @@ class CURECON_PG_scene(bpy.types.PropertyGroup):
         default=False, update=_show_filled,
     )
     surface_light: EnumProperty(
-        name="Light", description="Whose light falls on the surface in Material Preview and renders", items=LIGHTS,
-        default="PHOTO", update=_surface_light,
+        name="Light", description="Whose light falls on the surface, in every kind of shading and in renders",
+        items=LIGHTS, default="PHOTO", update=_surface_light,
     )
     goal: EnumProperty(
         name="Result", description="How far Reconstruct goes", items=GOALS, default="fusion",

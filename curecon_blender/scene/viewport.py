@@ -137,11 +137,22 @@ def frame(context: bpy.types.Context, bounds: Bounds) -> None:
 
 def show_texture(context: bpy.types.Context, *, textured: bool) -> None:
     """Let Solid shading show the surface's texture or its vertex colours, where it shows plain materials so far."""
-    for area in context.window.screen.areas if context.window is not None else ():
-        if area.type == "VIEW_3D":
-            shading = area.spaces.active.shading
-            if shading.color_type in {"MATERIAL", "TEXTURE", "VERTEX"}:
-                shading.color_type = "TEXTURE" if textured else "VERTEX"
+    for shading in _shadings(context):
+        if shading.color_type in {"MATERIAL", "TEXTURE", "VERTEX"}:
+            shading.color_type = "TEXTURE" if textured else "VERTEX"
+
+
+def light(context: bpy.types.Context, by_scene: bool) -> None:
+    """Let Solid shading light what it shows, or show colours as they are; a matcap that the user chose stays."""
+    for shading in _shadings(context):
+        if shading.light in {"STUDIO", "FLAT"}:
+            shading.light = "STUDIO" if by_scene else "FLAT"
+
+
+def _shadings(context: bpy.types.Context) -> list[bpy.types.View3DShading]:
+    """Of the 3D viewports of the window."""
+    areas = context.window.screen.areas if context.window is not None else ()
+    return [area.spaces.active.shading for area in areas if area.type == "VIEW_3D"]
 
 
 @persistent
