@@ -173,6 +173,54 @@ def test_the_disk_fills_up_and_then_the_worker_is_killed(
     assert not [*workspace.rglob(".*.partial")]
 
 
+@pytest.fixture
+def drive(tmp_path: Path) -> Iterator[Path]:
+    """A drive that `stalled` can stop."""
+    folder, image = tmp_path / "drive", tmp_path / "drive.img"
+    folder.mkdir()
+    with open(image, "wb") as file:
+        file.truncate(100 << 20)
+    try:
+        for command in (["mkfs.ext4", "-q", image], ["mount", "-o", "loop", image, folder]):
+            subprocess.run(command, check=True, capture_output=True, text=True)
+    except (subprocess.CalledProcessError, FileNotFoundError) as error:
+        pytest.skip(f"mounting a drive needs root and mkfs.ext4: {error}")
+    yield folder
+    subprocess.run(["umount", folder], check=True)
+
+
+@contextlib.contextmanager
+def stalled(drive: Path) -> Iterator[None]:
+    """Whoever writes to the drive stands still, in a call that no signal ends, as when a network is gone."""
+    subprocess.run(["fsfreeze", "--freeze", drive], check=True)
+    try:
+        yield
+    finally:
+        subprocess.run(["fsfreeze", "--unfreeze", drive], check=True)
+
+
+@pytest.mark.parametrize("wish", ["wait", "cancel"])
+def test_a_drive_that_stalls_holds_the_job_up_and_nothing_else(
+    wish: str, textured: tuple[Path, Run], small_photos: Path, drive: Path
+) -> None:
+    before("depth", textured, drive / "w")
+    job = start(small_photos, drive / "w", "depth")
+    at_work(job, "depth")
+    with stalled(drive):
+        time.sleep(5)
+        job.poll()  # what was on its way
+        if wish == "cancel":
+            job.cancel()
+        time.sleep(5)
+        assert not job.poll() and not job.finished
+    last = ended(job)
+    if wish == "wait":
+        assert isinstance(last, Result), last
+    else:
+        assert isinstance(last, Failure) and last.kind == "cancelled", last
+        finished_again(small_photos, drive / "w", "depth", textured)
+
+
 def test_a_workspace_that_is_deleted_meanwhile_does_not_come_back(
     textured: tuple[Path, Run], small_photos: Path, tmp_path: Path
 ) -> None:
