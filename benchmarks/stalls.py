@@ -117,6 +117,16 @@ def slide(group: object, name: str, low: float, high: float, steps: int = 6) -> 
     yield 0.5
 
 
+def slide_all(heart: Heart, shading: str) -> Wait:
+    properties = bpy.context.scene.curecon
+    for group, name, low, high in (
+        (properties, "point_size", 0.5, 3.0), (properties, "display_fraction", 100, 20),
+        (properties.cloud, "min_confidence", 0.0, 0.8), (properties.cloud, "min_views", 0, 6),
+    ):
+        heart.begin(f"{shading}: {name}")
+        yield from slide(group, name, low, high)
+
+
 def story(heart: Heart, options: argparse.Namespace) -> Wait:
     properties = bpy.context.scene.curecon
     yield 3.0
@@ -159,11 +169,7 @@ def story(heart: Heart, options: argparse.Namespace) -> Wait:
     yield 4.0
     heart.begin("drawing the cloud")
     yield from draw()
-    sliders = ((properties, "point_size", 0.5, 3.0), (properties, "display_fraction", 100, 20),
-               (properties.cloud, "min_confidence", 0.0, 0.8), (properties.cloud, "min_views", 0, 6))
-    for group, name, low, high in sliders:
-        heart.begin(f"Solid: {name}")
-        yield from slide(group, name, low, high)
+    yield from slide_all(heart, "Solid")
     heart.begin("Solid: colour by height")
     properties.cloud.colour_by = "HEIGHT"
     yield 1.0
@@ -180,13 +186,10 @@ def story(heart: Heart, options: argparse.Namespace) -> Wait:
     heart.begin("  and its first drawings")
     yield 4.0
     if options.preview:
-        properties = bpy.context.scene.curecon
         heart.begin("to Material Preview (Blender's shaders)")
         area().spaces.active.shading.type = "MATERIAL"
         yield 20.0
-        for name, low, high in (("point_size", 0.5, 3.0), ("display_fraction", 100, 20)):
-            heart.begin(f"Material Preview: {name}")
-            yield from slide(properties, name, low, high)
+        yield from slide_all(heart, "Material Preview")
     heart.end()
 
 

@@ -66,7 +66,11 @@ def in_order(scene: bpy.types.Scene, times: dict[str, datetime]) -> list[bpy.typ
 def look_from(about: site.Box, azimuth: float, height: float) -> tuple[np.ndarray, np.ndarray]:
     """A place (3,) and rotation (4,) from which the box fills a film's picture: from `azimuth` (degrees, clockwise from
     +Y), `height` above its middle in scene units."""
-    path = camera_path.orbit(about.centre, _distance(about, height), height, azimuth, 1)
+    signs = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    corners = (signs * about.half) @ np.array([about.axis(index) for index in range(3)])
+    x, y = -np.sin(np.radians(azimuth)), -np.cos(np.radians(azimuth))  # the way that the camera looks, in plan
+    axes = np.array([[y, -x, 0], [x, y, 0], [0, 0, 1]])
+    path = camera_path.orbit(about.centre, _distance(corners @ axes.T, height), height, azimuth, 1)
     return path.places[0], path.rotations[0]
 
 
@@ -81,21 +85,25 @@ def new_lens(name: str, about: site.Box) -> bpy.types.Camera:
 def around(about: site.Box, kind: str, present: bpy.types.PropertyGroup, frames: int) -> CameraPath:
     """The path of an orbit or a crane shot about the box, as the properties ask for."""
     height, start = (present.height - 0.5) * about.height, degrees(present.start_angle)
-    distance = _distance(about, height)
+    distance = _distance(_cylinder(about), height)  # fits from every side
     if kind == "ORBIT":
         return camera_path.orbit(about.centre, distance, height, start, frames)
     low = -0.4 * about.height  # a person's view of a two-storey house
     return camera_path.crane(about.centre, distance, low, height, start, frames)
 
 
-def _distance(about: site.Box, height: float) -> float:
-    """How far off in plan the box just fits the picture from every side, from `height` above its middle."""
-    around = np.linspace(0, 2 * np.pi, 33)
-    reach = float(np.hypot(*about.half[:2]))  # of the upright cylinder about the box
-    rim = np.stack([reach * np.cos(around), reach * np.sin(around)], axis=1)
-    points = np.concatenate([np.column_stack([rim, np.full(33, z)]) for z in (-about.half[2], about.half[2])])
+def _cylinder(about: site.Box) -> np.ndarray:
+    """Points (N,3) of the upright cylinder about the box, from its middle."""
+    turns, reach = np.linspace(0, 2 * np.pi, 33), float(np.hypot(*about.half[:2]))
+    rim = np.stack([reach * np.cos(turns), reach * np.sin(turns)], axis=1)
+    return np.concatenate([np.column_stack([rim, np.full(33, z)]) for z in (-about.half[2], about.half[2])])
+
+
+def _distance(points: np.ndarray, height: float) -> float:
+    """How far off in plan, along -y, points (N,3) about the middle just fit a film's picture from `height` above it."""
     room = np.array([1.0, 1 / WIDE]) * SENSOR / (2 * LENS * MARGIN)
-    near, far = reach, 100 * about.radius + abs(height)
+    near = float(np.hypot(points[:, 0], points[:, 1]).max())
+    far = 100 * float(np.linalg.norm(points, axis=1).max()) + abs(height)
     for _ in range(40):
         middle = (near + far) / 2
         back = np.array([0.0, -middle, height]) / np.hypot(middle, height)
