@@ -25,18 +25,22 @@ import numpy as np
 from PIL import Image
 
 ROOT = Path(__file__).resolve().parent.parent
-# Neighbours of both orbits and from above, in an order in which any first few hang together.
-NUMBERS = (14, 15, 26, 27, 28, 33, 16, 25, 32, 13)
+# Neighbours of both orbits and from above, in an order in which any first few hang together; after the first ten comes
+# the side that the view shows.
+NUMBERS = (14, 15, 26, 27, 28, 33, 16, 25, 32, 13, 17, 18, 6, 5, 19, 7, 29, 4, 8, 30, 20, 31, 3, 9, 21, 22, 2, 10, 23,
+           24, 1, 11, 12)
+FEW = 10
 VARIABLE = "CURECON_BLENDER"
 # What the manual shows of the tour's pictures.
 PANELS = ("photos", "reconstruct", "progress", "cloud", "measure", "surface", "present")
-WINDOWS = {"result": "window", "texture": "window_surface"}
+WINDOWS = {"result": "window", "scale": "window_scale", "texture": "window_surface"}
+OWN_WINDOWS = ("preferences", "export")
 WINDOW_WIDTH = 1100
 TABS = 24  # pixels at the sidebar's right edge
 
 
 def tour(
-    folder: Path, *, photos: int = len(NUMBERS), max_image_size: int = 0, samples: int = 16, patience: float = 1800,
+    folder: Path, *, photos: int = FEW, max_image_size: int = 0, samples: int = 16, patience: float = 1800,
     full: bool = True,
 ) -> dict[str, Any]:
     """Run the tour with so many photos of the sample site; returns its report.
@@ -83,7 +87,7 @@ def crop_manual(folder: Path, report: dict[str, Any], manual: Path) -> None:
     """Cut the manual's pictures out of the tour's, as JPEG: panels, and whole windows at half their size."""
     manual.mkdir(parents=True, exist_ok=True)
     left, top, width, height = report["sidebar"]
-    cut = {"preferences": _box(*report["preferences"])}
+    cut = {name: _box(*report[name]) for name in OWN_WINDOWS}
     cut |= {name: _box(left, top, width - TABS, height) for name in PANELS}
     for name, box in cut.items():
         picture = _without_empty_end(Image.open(folder / f"{name}.png").convert("RGB").crop(box))
@@ -108,7 +112,7 @@ def _without_empty_end(picture: Image.Image) -> Image.Image:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, help="is emptied first")
-    parser.add_argument("--photos", type=int, default=len(NUMBERS), help="how many (default: %(default)s)")
+    parser.add_argument("--photos", type=int, default=FEW, help="how many of 33 (default: %(default)s)")
     parser.add_argument("--manual", type=Path, help="folder for the manual's pictures")
     arguments = parser.parse_args()
     if VARIABLE not in os.environ:

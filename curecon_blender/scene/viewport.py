@@ -28,7 +28,7 @@ MIN_POINT_PIXELS = 2.0
 MOVING_POINTS = 3_000_000  # drawn of all clouds together while the view moves; the rest follows when it rests
 REST_SECONDS = 0.25
 PIECE = 1 << 18  # points that are uploaded at once
-PIECE_SECONDS = 0.01  # a drawing begins to upload pieces for so long
+PIECE_SECONDS = 0.02  # a drawing begins to upload pieces for so long
 
 # What is drawn of a cloud: the field, width and type of its attributes, as Blender copies them fastest.
 _ATTRIBUTES: dict[str, tuple[str, int, type]] = {
@@ -119,8 +119,8 @@ def redraw() -> None:
 
 
 def frame(context: bpy.types.Context, bounds: Bounds) -> None:
-    """Turn every 3D viewport of the window to what lies in `bounds`, from obliquely above, with fitting clip planes.
-    Viewports in camera view leave it."""
+    """Turn every 3D viewport of the window to what lies in `bounds`, from obliquely above, with fitting clip planes
+    and without the grid where some of it lies beneath. Viewports in camera view leave it."""
     low, high = bounds
     centre, size = (low + high) / 2, float(np.linalg.norm(high - low))
     for area in context.window.screen.areas if context.window is not None else ():
@@ -133,6 +133,8 @@ def frame(context: bpy.types.Context, bounds: Bounds) -> None:
         view.view_rotation = Euler((np.radians(58), 0, np.radians(35))).to_quaternion()
         view.view_distance = size * 0.95
         space.clip_start, space.clip_end = size / 2000, size * 50
+        if low[2] < 0:  # Blender 5's grid would cut its lines into a cloud beneath it, which is drawn later
+            space.overlay.show_floor = False
 
 
 def show_texture(context: bpy.types.Context, *, textured: bool) -> None:

@@ -68,10 +68,9 @@ class Person:
         subprocess.run(["import", "-window", "root", str(file)], check=True)
         self.taken.append(name)
 
-    def sidebar_rectangle(self) -> list[int]:
-        """The sidebar in the window: left, top, width, height in pixels from the top left corner."""
-        region = self.region("UI")
-        return [region.x, self.window.height - region.y - region.height, region.width, region.height]
+    def rectangle(self, part: bpy.types.Region | bpy.types.Window) -> list[int]:
+        """Where on the screen it lies: left, top, width, height in pixels from the top left corner."""
+        return [part.x, self.window.height - part.y - part.height, part.width, part.height]
 
     def until(self, done: Callable[[], bool], *, seconds: float, what: str) -> Wait:
         began = time.monotonic()

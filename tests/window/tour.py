@@ -67,7 +67,7 @@ def install(person: Person) -> Wait:
     yield 1.5
     yield from person.picture("preferences")
     other = next(window for window in bpy.context.window_manager.windows if window != person.window)
-    report["preferences"] = [other.x, person.window.height - other.y - other.height, other.width, other.height]
+    report["preferences"] = person.rectangle(other)
     with bpy.context.temp_override(window=other):
         bpy.ops.wm.window_close()
     bpy.context.preferences.addons[MODULE].preferences.worker_python = task["worker_python"]
@@ -156,7 +156,7 @@ def pick_two(person: Person) -> Iterator[float]:
     item = next(item for item in bpy.context.scene.objects if item.type == "POINTCLOUD")
     every = max(len(item.data.points) // 2000, 1)
     points = [item.matrix_world @ item.data.points[i].co for i in range(0, len(item.data.points), every)]
-    region, right = person.region("WINDOW"), person.sidebar_rectangle()[0]
+    region, right = person.region("WINDOW"), person.region("UI").x
     view = person.area.spaces.active.region_3d
     seen = [place for point in points if (place := location_3d_to_region_2d(region, view, point)) is not None
             and 100 < place.x < right - region.x - 250 and 150 < place.y < region.height - 150]
@@ -206,6 +206,7 @@ def export(person: Person) -> Wait:
     parameters = browser.spaces.active.params
     parameters.directory, parameters.filename = str(out).encode(), "tulou.glb"
     yield from person.picture("export")
+    report["export"] = person.rectangle(window)
     region = next(region for region in browser.regions if region.type == "WINDOW")
     with bpy.context.temp_override(window=window, area=browser, region=region):
         bpy.ops.file.execute()
@@ -226,6 +227,7 @@ def surface(person: Person) -> Wait:
     yield from person.push("curecon.texture")
     yield from worked(person, task["patience"], "the texture")
     assert properties.result.textured
+    assert person.area.spaces.active.shading.light == "FLAT", "the photos' colours are shaded a second time"
     report["faces"] = properties.result.faces
     yield from person.picture("texture")
     yield from person.open("CURECON_PT_surface_advanced")
@@ -294,7 +296,7 @@ def tour() -> Wait:
         yield from install(person)
         yield from photos(person)
         yield from reconstruct(person)
-        report["sidebar"] = person.sidebar_rectangle()
+        report["sidebar"] = person.rectangle(person.region("UI"))
         if task["full"]:
             yield from undo(person)
         yield from cloud(person)
