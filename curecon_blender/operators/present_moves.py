@@ -13,7 +13,7 @@ from bpy.props import EnumProperty
 
 from ..core import capture
 from ..core.errors import CuReconError, WorkspaceError
-from ..scene import flight, stage
+from ..scene import cameras, flight, stage
 from . import places, running
 
 KINDS = (
@@ -57,8 +57,7 @@ Made again, it takes the place of the earlier one"""
             self.report({"ERROR"}, running.explain(error))
             return {"CANCELLED"}
         stage.apply_quality(scene)
-        if context.area is not None and context.area.type == "VIEW_3D":
-            context.area.spaces.active.region_3d.view_perspective = "CAMERA"
+        cameras.enter_view(context)
         said = rpt_("{}: {} frames. Play it with the space bar.").format(camera.name, scene.frame_end)
         self.report({"INFO"}, said)
         return {"FINISHED"}

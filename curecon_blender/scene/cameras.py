@@ -76,8 +76,21 @@ def look_through(context: bpy.types.Context, camera: bpy.types.Object) -> None:
     """Let the scene, its renders and the 3D viewport that the user is in look through a photo's camera."""
     context.scene.camera = camera
     fit_render(context.scene, camera)
-    if context.area is not None and context.area.type == "VIEW_3D":
-        context.area.spaces.active.region_3d.view_perspective = "CAMERA"
+    enter_view(context)
+
+
+def enter_view(context: bpy.types.Context) -> None:
+    """Let the 3D viewport that the user is in look through the scene's camera, and its picture fill the viewport; one
+    that does so already keeps its zoom."""
+    if context.area is None or context.area.type != "VIEW_3D":
+        return
+    view = context.area.spaces.active.region_3d
+    if view.view_perspective == "CAMERA":
+        return
+    view.view_perspective = "CAMERA"
+    region = next(region for region in context.area.regions if region.type == "WINDOW")
+    with context.temp_override(region=region):
+        bpy.ops.view3d.view_center_camera()
 
 
 def overlay(camera: bpy.types.Object, opacity: float) -> None:
