@@ -16,7 +16,8 @@ GAMMA = {2: 2.0, 1: 1.0, 0: 0.0}
 ALPHA = {2: 0.75, 1: 0.5, 0: 0.25}
 LEVEL_WEIGHT = {2: 0.5, 1: 1.0, 0: 2.0}
 INTERVALS = 128  # of the sweep, as BlendedMVS counts its errors
-FARTHEST = 40.0  # intervals of the finest level beyond which one error is as bad as another
+NEAR = 40.0  # intervals of the finest level beyond which an error counts for little more
+FAR_WEIGHT = 0.05  # of each further interval
 
 
 def unified_label(t: Tensor, first: Tensor, interval: float, count: int) -> Tensor:
@@ -88,10 +89,11 @@ def refinement_loss(refined: Refined, t: Tensor, valid: Tensor, interval: float)
     `t`, `valid` (B,1,H,W) at full resolution; `interval` in t, of the finest level. A candidate is as likely as it is
     near, by a Laplace distribution; a large error counts not much more than a middling one, as it does in use.
     """
-    near = refined.probability.clamp_min(1e-8).log() - ((refined.candidates - t).abs() / interval).clamp_max(FARTHEST)
+    apart = (refined.candidates - t).abs() / interval
+    near = refined.probability.clamp_min(1e-8).log() - apart.clamp_max(NEAR) - FAR_WEIGHT * apart
     error = (refined.t - t).abs()
     off = error / interval
-    per_pixel = off.log1p() + 0.05 * off.clamp_max(FARTHEST) - 0.5 * torch.logsumexp(near, 1, keepdim=True)
+    per_pixel = off.log1p() + FAR_WEIGHT * off - 0.5 * torch.logsumexp(near, 1, keepdim=True)
     right = valid & (error.detach() * INTERVALS < 1)
     sure = F.binary_cross_entropy_with_logits(refined.sure, right.float())
     return (per_pixel * valid).sum() / valid.sum().clamp_min(1) + 0.5 * sure

@@ -17,6 +17,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from . import images
+from .allocator import release
 from .errors import DeviceError
 from .files import atomic_write
 from .messages import Reporter
@@ -26,6 +27,7 @@ from .reading import Expected, read_arrays
 from .types import Component, View
 
 TILE_OVERLAP = 64  # pixels that neighbouring tiles share; half of it on each side is thrown away
+RELEASE_EVERY = 16  # photos: what lies between the features that are kept would else add up, a few MB a photo
 FEATURE_BYTES = 1 << 30  # of photos' features kept: a photo's neighbours, some dozens
 SOURCE_MARGIN = 32  # pixels of context kept around what a tile can see in a source
 # Peak memory of one tile, measured on a CPU (benchmarks/depth.py): fixed, per pixel of the tile, and per pixel of
@@ -306,6 +308,8 @@ def estimate_depths(
     for view, views in left:
         make_depth(estimator, view, views, workspace, key)
         done += 1
+        if done % RELEASE_EVERY == 0:
+            release()
         reporter.progress(done, total)
 
 
