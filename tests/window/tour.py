@@ -206,8 +206,9 @@ def export(person: Person) -> Wait:
     parameters = browser.spaces.active.params
     parameters.directory, parameters.filename = str(out).encode(), "tulou.glb"
     yield from person.picture("export")
-    report["export"] = person.rectangle(window)
     region = next(region for region in browser.regions if region.type == "WINDOW")
+    left, top, width, height = person.rectangle(window)
+    report["export"] = [left + region.x, top, width - region.x, height]  # without the user's own bookmarks
     with bpy.context.temp_override(window=window, area=browser, region=region):
         bpy.ops.file.execute()
     yield from person.until((out / "tulou.glb").is_file, seconds=task["patience"], what="the export")
