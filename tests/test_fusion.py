@@ -131,6 +131,19 @@ def test_wrong_depth_in_one_view_is_rejected(tmp_path: Path) -> None:
     assert len(cloud) > 15_000
 
 
+def test_what_two_photos_alone_see_counts_if_they_are_sure(tmp_path: Path) -> None:
+    for confidence, found in ((0.8, False), (0.95, True)):
+        workspace = tmp_path / str(confidence)
+        component = write_scene(workspace, ring(8), confidence=confidence)
+        for view in component.views[2:]:
+            write_depth(workspace, view, *np.zeros((2, view.height, view.width), np.float32))
+        if found:
+            assert surface_distance(run(component, workspace).points).max() < 0.02
+        else:
+            with pytest.raises(NoPointsError):
+                run(component, workspace)
+
+
 def test_depth_that_only_two_views_share_is_rejected(tmp_path: Path) -> None:
     component = write_scene(tmp_path, ring(8))
     for view in component.views[:2]:  # the same ghost wall, in front of two cameras side by side
