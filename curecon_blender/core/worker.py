@@ -146,7 +146,8 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--mapper", choices=("auto", "incremental", "global"), default=default["mapper"])
     run.add_argument("--weights", type=Path, help="other weights (.safetensors with its .json beside it)")
     run.add_argument("--min-confidence", type=float, default=default["min_confidence"])
-    run.add_argument("--min-views", type=_positive(int), default=default["min_views"], help="views that must agree")
+    run.add_argument("--min-views", type=_positive(int), default=default["min_views"],
+                     help="views that must agree, or one fewer if they are sure")
     run.add_argument("--max-reprojection-error", type=_positive(float), default=default["max_reprojection_error"],
                      metavar="PIXELS")
     run.add_argument("--max-depth-difference", type=_positive(float), default=default["max_depth_difference"],
