@@ -16,11 +16,15 @@ Lengths are in spacings: the local spacing is the side of the square that one po
 
 from __future__ import annotations
 
+import errno
 import json
 import os
+import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -52,6 +56,7 @@ _FLAT = 0.85  # length of a piece's mean unit normal, from which on it goes on a
 _SMALLEST_PART = 500  # points' worth of surface: a part with less is floating dust
 _REGION_MARGIN = 10.0  # median spacings: what lies just outside the region still shapes the surface within
 _NEIGHBOURS = 4  # measured points that a vertex takes its colour and views from
+_LEAST_FREE = 1 << 20  # bytes: a disk with less is full
 _SHORTEST_EDGE = 1e-3  # median spacings: vertices nearer than this are one
 # The process goes with the worker, even if that is killed; where the system cannot arrange it, it ends when it is done.
 _CHILD = """
@@ -319,9 +324,10 @@ def _poisson(cloud: Cloud, spacing: float, scratch: Path, reporter: Reporter) ->
             scratch.mkdir(parents=True, exist_ok=True)
             with CloudWriter(points) as writer:
                 writer.write(cloud)
-            _pycolmap("poisson_meshing", "PoissonMeshingOptions", points, surface, reporter, depth=depth, trim=0,
-                      color=False)
-            return _read_triangles(surface)
+            with _native_writing(scratch):
+                _pycolmap("poisson_meshing", "PoissonMeshingOptions", points, surface, reporter, depth=depth, trim=0,
+                          color=False)
+                return _read_triangles(surface)
     except (FileNotFoundError, RuntimeError, ValueError) as error:
         raise MeshError(f"No surface could be made of the cloud: {error}",
                         remedy="See that the disk is not full; reconstruct again if the cloud looks wrong.",
@@ -329,6 +335,17 @@ def _poisson(cloud: Cloud, spacing: float, scratch: Path, reporter: Reporter) ->
     finally:
         points.unlink(missing_ok=True)
         surface.unlink(missing_ok=True)
+
+
+@contextmanager
+def _native_writing(folder: Path) -> Iterator[None]:
+    """A native library that meets a full disk may say nothing and leave half a file: then OSError in its place."""
+    try:
+        yield
+    except (FileNotFoundError, RuntimeError, ValueError) as error:
+        if shutil.disk_usage(folder).free < _LEAST_FREE:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)) from error
+        raise
 
 
 def _pycolmap(call: str, kind: str, source: Path, target: Path, reporter: Reporter, **settings: Any) -> None:
@@ -365,9 +382,10 @@ def _simplify(
     try:
         with disk_errors(scratch):
             _write_triangles(fine, vertices, faces)
-            _pycolmap("simplify_mesh", "MeshSimplificationOptions", fine, coarse, reporter,
-                      target_face_ratio=count / len(faces), interpolate_colors=False)
-            return _read_triangles(coarse)
+            with _native_writing(scratch):
+                _pycolmap("simplify_mesh", "MeshSimplificationOptions", fine, coarse, reporter,
+                          target_face_ratio=count / len(faces), interpolate_colors=False)
+                return _read_triangles(coarse)
     except (FileNotFoundError, RuntimeError, ValueError) as error:
         raise MeshError(f"The surface could not be simplified: {error}",
                         remedy="See that the disk is not full, or give a larger face target.", path=fine) from error
