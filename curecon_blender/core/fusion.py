@@ -12,9 +12,9 @@ into the views that overlap it:
   *accepted* a point there: wrote it, or knew it as written by another.
 
 N_c (`Options.min_views`) counts the reference as one of the views, as `Cloud.views` does and as Vis-MVSNet's filter
-does: three photos that all agree are enough for a point. So are one fewer, two at least, if they are sure in the mean
-and no photo looks through the point: what a site's few photos see from one side only, such as an outer wall, is
-otherwise lost. On the sample site that adds 5 % to the recall and costs no precision.
+does: three photos that all agree are enough for a point. Unless N_c is given, so are two that are sure in the mean, if
+no photo looks through the point: what a site's few photos see from one side only, such as an outer wall, is otherwise
+lost. On the sample site that adds 5 % to the recall and costs no precision.
 
 Memory holds one reference, one block of its pixels, and a cache of other photos that is bounded in bytes; the depths
 accepted wait on disk (4 bytes a pixel until the end).
@@ -44,6 +44,7 @@ from .types import Component, View
 CACHE_BYTES = 512 << 20
 _BLOCK = 256 * ROW  # pixels worked on at once: small enough for the processor's cache
 _SPARSE = 64  # one pixel in so many tells whether two pictures have anything in common
+_VIEWS = 3  # N_c, as in the paper
 _THROUGH = 2.0  # times the limit of depth difference: a photo that sees farther than that looks through a point
 _SURE = 0.9  # confidence: 97 % of the pixels with more are right within one depth interval
 _LEAST_WEIGHT = 1e-6  # confidence 0 still counts as a view, and must not divide by zero
@@ -83,7 +84,7 @@ def fuse(
     for a depth map or picture that is missing, damaged or of another camera, and NoPointsError when too few views
     agree anywhere; a cloud from an earlier run is then left as it was.
     """
-    min_views = options.min_views
+    min_views = options.min_views or _VIEWS
     if len(component.views) < min_views:
         min_views = len(component.views)
         reporter.warning(f"Only {min_views} photos hang together here: points need no more than their agreement.")
@@ -132,8 +133,9 @@ def _fuse_one(
     depth = np.full(view.height * view.width, np.nan, np.float32)
     depth[candidates] = 1 / inverse_depth[candidates]
     depth[fresh] = means[2]
-    fewer = (sums.views >= max(2, min_views - 1)) & (sums.weight >= _SURE * sums.views) & ~sums.seen_through
-    keep = (sums.views >= min_views) | fewer
+    keep = sums.views >= min_views
+    if options.min_views is None:
+        keep |= (sums.views >= 2) & (sums.weight >= _SURE * sums.views) & ~sums.seen_through
     index, weight, views = fresh[keep], sums.weight[keep], sums.views[keep]
     accepted = inverse_depth.copy()
     accepted[fresh[~keep]] = np.nan

@@ -53,7 +53,7 @@ class Options:
     mapper: str = "auto"  # auto, incremental, global
     weights: Path | None = None  # None: the shipped weights
     min_confidence: float = 0.3  # tau
-    min_views: int = 3  # N_c: confirming views, or one fewer if they are sure (fusion.py)
+    min_views: int | None = None  # N_c: confirming views; None: three, or two that are sure (fusion.py)
     max_reprojection_error: float = 1.0  # pixels
     max_depth_difference: float = 0.01  # relative
     fill_holes: bool = True  # close holes in the mesh, marked as filled; False leaves them open

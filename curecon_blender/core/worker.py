@@ -147,7 +147,7 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--weights", type=Path, help="other weights (.safetensors with its .json beside it)")
     run.add_argument("--min-confidence", type=float, default=default["min_confidence"])
     run.add_argument("--min-views", type=_positive(int), default=default["min_views"],
-                     help="views that must agree, or one fewer if they are sure")
+                     help="views that must agree (default: three, or two that are sure)")
     run.add_argument("--max-reprojection-error", type=_positive(float), default=default["max_reprojection_error"],
                      metavar="PIXELS")
     run.add_argument("--max-depth-difference", type=_positive(float), default=default["max_depth_difference"],
