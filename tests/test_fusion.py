@@ -217,9 +217,7 @@ def test_the_same_cloud_each_time_in_any_order(tmp_path: Path) -> None:
 
 
 def test_memory_does_not_grow_with_the_number_of_photos(tmp_path: Path) -> None:
-    def peak(count: int, cache_bytes: int) -> int:
-        workspace = tmp_path / f"{count} {cache_bytes}"
-        component = write_scene(workspace, ring(count, arc=60.0))
+    def peak(workspace: Path, component: Component, cache_bytes: int) -> int:
         tracemalloc.start()
         try:
             fuse(component, workspace, Options(photos=workspace, workspace=workspace), Reporter(),
@@ -228,7 +226,13 @@ def test_memory_does_not_grow_with_the_number_of_photos(tmp_path: Path) -> None:
         finally:
             tracemalloc.stop()
 
-    few, many, unbounded = peak(8, 1 << 20), peak(24, 1 << 20), peak(24, 1 << 30)
+    def least_peak(count: int, cache_bytes: int) -> int:
+        """Of two runs: the interpreter's table of interned names may double within one of them, by 2 MB."""
+        workspace = tmp_path / f"{count} {cache_bytes}"
+        component = write_scene(workspace, ring(count, arc=60.0))
+        return min(peak(workspace, component, cache_bytes) for _ in range(2))
+
+    few, many, unbounded = least_peak(8, 1 << 20), least_peak(24, 1 << 20), least_peak(24, 1 << 30)
     assert many < 1.15 * few
     assert unbounded > 1.5 * many  # the measure sees the cache
 
