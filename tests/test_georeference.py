@@ -17,6 +17,7 @@ from curecon_blender.core.types import Frame, GeoPosition, Gimbal, Photo
 
 SITE = GeoPosition(latitude=24.6612, longitude=117.0523, altitude=423.0)  # the Tulou of Fujian
 UNKNOWN = pycolmap.Sim3d(0.07, pycolmap.Rotation3d(np.array([0.3, -0.5, 0.2, 0.8])), np.array([3.0, -2.0, 5.0]))
+GROUND = 150  # sparse points of the ground, the first of the model
 
 
 def looking_at(centre: np.ndarray, target: np.ndarray) -> np.ndarray:
@@ -34,15 +35,19 @@ def orbit(count: int = 12, radius: float = 40.0, height: float = 30.0) -> tuple[
 
 
 def make_model(centres: np.ndarray, rotations: list[np.ndarray]) -> pycolmap.Reconstruction:
-    """The cameras over a patch of ground points around the origin, in a frame of unknown scale and tilt, as SfM's."""
+    """The cameras over level ground at z = 0 with a house of two floors on it, around the origin, and some strays, in a
+    frame of unknown scale and tilt, as SfM's."""
     model = pycolmap.Reconstruction()
     camera = pycolmap.Camera.create_from_model_name(1, "PINHOLE", 900, 1200, 900)
     model.add_camera_with_trivial_rig(camera)
     for i, (centre, rotation) in enumerate(zip(centres, rotations, strict=True), start=1):
-        image = pycolmap.Image(name=f"{i:02d}.jpg", keypoints=np.zeros((100, 2)), camera_id=1, image_id=i)
+        image = pycolmap.Image(name=f"{i:02d}.jpg", keypoints=np.zeros((400, 2)), camera_id=1, image_id=i)
         pose = pycolmap.Rigid3d(pycolmap.Rotation3d(rotation), -rotation @ centre)
         model.add_image_with_trivial_frame(image, pose)
-    for i, xyz in enumerate(np.random.default_rng(0).uniform((-20, -20, -2), (20, 20, 2), (100, 3))):
+    rng = np.random.default_rng(0)
+    ground, strays = rng.uniform((-20, -20, -0.1), (20, 20, 0.1), (GROUND, 3)), rng.uniform(-20, -5, (2, 3))
+    walls, roof = rng.uniform((-6, -5, 0), (6, -5, 7), (60, 3)), rng.uniform((-6, -5, 7), (6, 5, 8), (80, 3))
+    for i, xyz in enumerate(np.concatenate([ground, strays, walls, roof])):
         track = pycolmap.Track()
         for image_id in (1, 2):
             track.add_element(image_id, i)
@@ -75,6 +80,10 @@ def tilt(model: pycolmap.Reconstruction, rotations: list[np.ndarray]) -> float:
     return float(np.degrees(np.arccos(np.clip(seen @ rotations[0][:, 2], -1, 1))))
 
 
+def height_of_the_ground(model: pycolmap.Reconstruction) -> float:
+    return float(np.median([model.point3D(i).xyz[2] for i in sorted(model.point3D_ids())[:GROUND]]))
+
+
 def test_geodesy_agrees_with_an_independent_implementation_and_inverts() -> None:
     places = np.array([[24.67, 117.06, 500.0], [24.6612, 117.0523, 423.0], [-33.9, 18.4, 20.0], [89.999, 10.0, 5.0]])
     enu = georeference.geodetic_to_enu(places, SITE)
@@ -105,7 +114,9 @@ def test_gps_gives_metres_up_and_north_in_spite_of_an_outlier() -> None:
         np.array([[frame.origin.latitude, frame.origin.longitude, frame.origin.altitude]]), SITE
     )
     assert placed_centres(model, placement) + origin == pytest.approx(centres, abs=1.0)
-    assert np.linalg.norm(np.median([p.xyz for p in model.points3D.values()], axis=0)) < 1.0  # origin amid the site
+    assert np.linalg.norm(np.median([p.xyz for p in model.points3D.values()], axis=0)[:2]) < 2.0  # amid the site
+    assert height_of_the_ground(model) == pytest.approx(0, abs=0.2)
+    assert frame.origin.altitude == pytest.approx(SITE.altitude, abs=2.0)  # what is at 0 now was there
     assert tilt(model, rotations) < 1.0
 
 
@@ -138,6 +149,7 @@ def test_without_usable_gps_the_scale_is_said_to_be_unknown_and_z_is_up(
     assert reason in placement.frame.note and "unknown" in placement.frame.note
     model.transform(placement.site_from_model)
     assert tilt(model, rotations) < 2.0
+    assert height_of_the_ground(model) == pytest.approx(0, abs=0.2)
 
 
 def test_gps_of_another_place_is_not_used() -> None:

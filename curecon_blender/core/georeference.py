@@ -1,6 +1,7 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Placing a sparse model in the site frame: right-handed, Z up, metres and y north where GPS says so."""
+"""Placing a sparse model in the site frame: right-handed, Z up with the ground at 0, metres and y north where GPS says
+so."""
 
 from __future__ import annotations
 
@@ -13,6 +14,7 @@ import pycolmap
 
 from .errors import WorkspaceError
 from .files import write_json
+from .ground import lowest_wide_level
 from .reading import build, read_json
 from .types import Frame, GeoPosition, Gimbal, Photo
 
@@ -20,6 +22,7 @@ FRAME_FILE = "frame.json"
 SHORTEST_BASELINE = 5.0  # metres; GPS positions closer together than this say nothing of scale
 WORST_AGREEMENT = 0.4  # median residual over the median distance from the GPS positions' centre; 1 is no agreement
 LINE = 0.05  # spread across a flight as a share of the spread along it; below it the flight counts as a straight line
+NEAR = 2.5  # times the points' median distance from the site's middle: land farther off has its own ground
 TYPICAL_DISTANCE = 10.0  # units from camera to points where the scale is unknown
 
 _WGS84_A = 6378137.0
@@ -115,7 +118,8 @@ def gimbal_rotation(gimbal: Gimbal) -> np.ndarray:
 # ---- placement
 
 def place(model: pycolmap.Reconstruction, photos: Mapping[str, Photo]) -> Placement:
-    """Find the site frame of a model with points, whose images are named as `photos`.
+    """Find the site frame of a model with points, whose images are named as `photos`: its origin lies in the site's
+    middle, on the ground.
 
     By GPS where at least three photos have it, spread over more than a few metres and in agreement with the model;
     else Z up by gravity (gimbal angles, or level cameras) and a scale said to be unknown.
@@ -139,9 +143,9 @@ def place(model: pycolmap.Reconstruction, photos: Mapping[str, Photo]) -> Placem
             f"The photos' GPS does not agree with their camera positions ({fit.median_residual:.1f} m off over "
             f"{extent:.0f} m) and was not used",
         )
-    # Move the origin from the cameras to the site's centre, then fit once more: ENU axes turn a little with the place.
-    centre = np.median(_apply(fit.enu_from_model, _points(model)), axis=0, keepdims=True)
-    latitude, longitude, altitude = enu_to_geodetic(centre, origin)[0].tolist()
+    # Move the origin from the cameras to the site's middle, then fit once more: ENU axes turn a little with the place.
+    middle = _middle_on_the_ground(_apply(fit.enu_from_model, _points(model)))
+    latitude, longitude, altitude = enu_to_geodetic(middle[None], origin)[0].tolist()
     site = GeoPosition(latitude=latitude, longitude=longitude, altitude=altitude)
     fit = align_to_gps(cameras.centres[located], geodetic_to_enu(enu_to_geodetic(gps, origin), site), gravity)
     note = f"Metres, Z up and north from the GPS of {len(located)} photos, {fit.median_residual:.2f} m off (median)."
@@ -224,8 +228,8 @@ def _place_by_gravity(
 ) -> Placement:
     scale = TYPICAL_DISTANCE / max(_median_distance(model), 1e-9)
     rotation = _rotation_to_z(gravity.up)
-    centre = np.median(scale * _points(model) @ rotation.T, axis=0)
-    transform = pycolmap.Sim3d(scale, pycolmap.Rotation3d(rotation), -centre)
+    middle = _middle_on_the_ground(scale * _points(model) @ rotation.T)
+    transform = pycolmap.Sim3d(scale, pycolmap.Rotation3d(rotation), -middle)
     note = f"{why}: scale and north are unknown (set them with a scale bar); Z up comes from {gravity.source}."
     return Placement(site_from_model=transform, frame=Frame(scale="unknown", up="gravity", note=note))
 
@@ -318,6 +322,14 @@ def _apply(transform: pycolmap.Sim3d, points: np.ndarray) -> np.ndarray:
 
 def _points(model: pycolmap.Reconstruction) -> np.ndarray:
     return np.array([point.xyz for point in model.points3D.values()])
+
+
+def _middle_on_the_ground(points: np.ndarray) -> np.ndarray:
+    """The middle (3,) of points (N,3) with Z up, at the height of the ground there."""
+    middle = np.median(points, axis=0)
+    distances = np.linalg.norm(points - middle, axis=1)
+    middle[2] = lowest_wide_level(points[distances <= NEAR * np.median(distances), 2])
+    return np.asarray(middle)
 
 
 def _median_distance(model: pycolmap.Reconstruction) -> float:

@@ -13,13 +13,12 @@ from mathutils import Vector
 from ..core import footprint
 from ..core.alignment import FrameError
 from ..core.errors import SurfaceError
+from ..core.ground import lowest_wide_level
 from . import points
 from .surface import is_surface, surfaces_of
 from .workspace import clouds_of
 
 LEVEL = 0.9  # z of a unit normal is above it where the ground is
-LEVELS = 64  # between the lowest and the highest of a site, to look for the ground's
-WIDE = 0.5  # times as many points as on the widest level: the ground has them
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,13 +117,7 @@ def ground(cloud: bpy.types.Object, world_from_cloud: np.ndarray) -> float:
     if not len(level):
         raise FrameError(
             f"Nothing level was measured in {cloud.name}.", remedy="Level the site first, or move it by hand.")
-    counts, edges = np.histogram(level, LEVELS, np.percentile(heights, [0.5, 99.5]) + [-1e-6, 1e-6])
-    wide = np.convolve(counts, np.ones(3), "same")
-    at = int(np.argmax(wide >= WIDE * wide.max()))
-    while at + 1 < LEVELS and wide[at + 1] > wide[at]:
-        at += 1
-    near = level[(level >= edges[max(at - 1, 0)]) & (level <= edges[min(at + 2, LEVELS)])]
-    return float(np.median(near))
+    return lowest_wide_level(heights, level)
 
 
 def _box_of_region(region: bpy.types.Object, turned_by: float) -> Box:
