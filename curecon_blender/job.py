@@ -16,6 +16,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import IO
 
 from .core.errors import Cancelled, CuReconError
 from .core.messages import (
@@ -32,7 +33,9 @@ from .core.messages import (
 
 LOG_NAME = "worker.log"
 CANCEL_GRACE = 15.0  # seconds a worker has to stop by itself: one tile or one pycolmap call
+LOG_GRACE = 2.0  # seconds to take in what a worker that has ended said last
 LAST_WARNINGS = 5
+LAST_WORDS = 4000  # bytes
 KILLED = -getattr(signal, "SIGKILL", 9)
 HALF_MEMORY = "--half-memory"
 MISSING_MODULE = re.compile(r"ModuleNotFoundError: No module named '([\w.]+)'")
@@ -115,16 +118,18 @@ class Job:
     """A running worker. `poll` never blocks; messages come in order and end with one Result or Failure.
 
     `arguments` are the worker's own ("reconstruct", PHOTOS, ...); `python` is the interpreter; `import_paths` are the
-    folders put on its PYTHONPATH, of which one holds the package `curecon_blender`; `log` takes its stderr.
-    Raises WorkerError when the interpreter cannot be started.
+    folders put on its PYTHONPATH, of which one holds the package `curecon_blender`. What it says on stderr is added to
+    a log in the `workspace`, on a thread: a drive that stalls must not hold Blender up. Raises WorkerError when the
+    interpreter cannot be started.
     """
 
     def __init__(
-        self, arguments: Sequence[str], *, python: Path | str, import_paths: Sequence[Path | str], log: Path,
-        grace: float = CANCEL_GRACE,
+        self, arguments: Sequence[str], *, python: Path | str, import_paths: Sequence[Path | str],
+        workspace: Path | None, grace: float = CANCEL_GRACE,
     ) -> None:
-        self.log = log
+        self.log: Path | None = None  # once it has been opened
         self.cancelled = False
+        self._workspace = workspace
         self._grace = grace
         self._messages: queue.SimpleQueue[Message] = queue.SimpleQueue()
         self._arguments, self._python, self._import_paths = [*arguments], str(python), [*import_paths]
@@ -142,19 +147,35 @@ class Job:
             "PYTHONUTF8": "1", "PYTHONUNBUFFERED": "1", "PYTHONDONTWRITEBYTECODE": "1",
         }
         command = [self._python, "-m", "curecon_blender.core", "--messages", *self._arguments]
-        with open(self.log, "ab") as errors:
-            self._log_start = errors.tell()
-            try:
-                return subprocess.Popen(
-                    command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, env=environment,
-                    cwd=self._import_paths[0], creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
-                )
-            except OSError as error:
-                raise WorkerError(
-                    f"The worker could not be started with {self._python}: {error.strerror}.",
-                    remedy="Set Worker Python in the add-on's preferences to a Python 3.11 or newer that has torch "
-                           "and pycolmap.", path=self._python,
-                ) from error
+        try:
+            process = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment,
+                cwd=self._import_paths[0], creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
+            )
+        except OSError as error:
+            raise WorkerError(
+                f"The worker could not be started with {self._python}: {error.strerror}.",
+                remedy="Set Worker Python in the add-on's preferences to a Python 3.11 or newer that has torch "
+                       "and pycolmap.", path=self._python,
+            ) from error
+        assert process.stderr is not None
+        self._said = b""  # the last of it
+        self._logger = threading.Thread(target=self._keep_log, args=(process.stderr,), name="curecon-worker-log",
+                                        daemon=True)
+        self._logger.start()
+        return process
+
+    def _keep_log(self, stderr: IO[bytes]) -> None:
+        with contextlib.ExitStack() as files:
+            files.enter_context(stderr)
+            log = open_log(self._workspace)
+            if log is not None:
+                self.log = Path(files.enter_context(log).name)
+            while said := stderr.read1(1 << 16):  # type: ignore[attr-defined]
+                self._said = (self._said + said)[-LAST_WORDS:]
+                if log is not None:
+                    with contextlib.suppress(OSError):  # the disk is full: the last words tell of it
+                        log.write(said)
 
     @property
     def pid(self) -> int:
@@ -258,9 +279,8 @@ class Job:
 
     def _death(self, code: int) -> Failure:
         """Words for a worker that ended without a Result or a Failure."""
-        with open(self.log, "rb") as file:
-            file.seek(self._log_start)
-            said = file.read()[-4000:].decode("utf-8", "replace").strip()
+        self._logger.join(LOG_GRACE)
+        said = self._said.decode("utf-8", "replace").strip()
         if missing := MISSING_MODULE.search(said):
             error = WorkerError(
                 f"The worker's Python has no module {missing[1]}.",
@@ -280,7 +300,8 @@ class Job:
             last = f" It last said: {said.splitlines()[-1]}" if said else ""
             error = WorkerError(
                 f"The worker ended unexpectedly ({_ending(code)}).{last}",
-                remedy=f"Run it again: it goes on from the last finished photo. Its log is {self.log}.",
+                remedy="Run it again: it goes on from the last finished photo."
+                       + (f" Its log is {self.log}." if self.log else ""),
             )
         return failure(error)
 
@@ -294,16 +315,15 @@ def _ending(code: int) -> str:
     return f"exit code {code}"
 
 
-def log_path(workspace: Path | None) -> Path:
-    """Where a worker's stderr goes: into the workspace, or the temporary folder where that cannot be written."""
-    if workspace is not None:
-        try:
+def open_log(workspace: Path | None) -> IO[bytes] | None:
+    """Where a worker's stderr goes: into the workspace, or the temporary folder where that cannot be written, or
+    nowhere; the worker itself tells the user what is wrong with the workspace."""
+    with contextlib.suppress(OSError):
+        if workspace is not None:
             workspace.mkdir(parents=True, exist_ok=True)
-            path = workspace / LOG_NAME
-            with open(path, "ab"):
-                return path
-        except OSError:
-            pass  # the worker itself tells the user what is wrong with the workspace
-    handle, name = tempfile.mkstemp(prefix="curecon-", suffix=".log")
-    os.close(handle)
-    return Path(name)
+            return open(workspace / LOG_NAME, "ab", buffering=0)
+    with contextlib.suppress(OSError):
+        handle, name = tempfile.mkstemp(prefix="curecon-", suffix=".log")
+        os.close(handle)
+        return open(name, "ab", buffering=0)
+    return None

@@ -73,9 +73,8 @@ def arguments(photos: Path, workspace: Path, until: str) -> list[str]:
 
 
 def start(photos: Path, workspace: Path, until: str) -> Job:
-    """A worker as the add-on has it. Its log lies beside the workspace's disk, which may fill up."""
-    return Job(arguments(photos, workspace, until), python=sys.executable, import_paths=[ROOT],
-               log=photos.parent / f"{until}.log")
+    """A worker as the add-on has it."""
+    return Job(arguments(photos, workspace, until), python=sys.executable, import_paths=[ROOT], workspace=workspace)
 
 
 def at_work(job: Job, stage: str) -> None:
@@ -221,6 +220,21 @@ def test_a_drive_that_stalls_holds_the_job_up_and_nothing_else(
         finished_again(small_photos, drive / "w", "depth", textured)
 
 
+def test_a_job_begun_while_the_drive_stalls_keeps_nobody_waiting(
+    textured: tuple[Path, Run], small_photos: Path, drive: Path
+) -> None:
+    before("depth", textured, drive / "w")
+    with stalled(drive):
+        began = time.monotonic()
+        job = start(small_photos, drive / "w", "depth")
+        job.poll()
+        assert time.monotonic() - began < 2
+        time.sleep(5)
+        assert not job.finished
+    last = ended(job)
+    assert isinstance(last, Result), last
+
+
 def test_a_workspace_that_is_deleted_meanwhile_does_not_come_back(
     textured: tuple[Path, Run], small_photos: Path, tmp_path: Path
 ) -> None:
@@ -323,7 +337,7 @@ PARENT = """
 import sys, time
 from pathlib import Path
 from curecon_blender.job import Job
-job = Job(sys.argv[2:], python=sys.executable, import_paths=[Path.cwd()], log=Path(sys.argv[1]))
+job = Job(sys.argv[2:], python=sys.executable, import_paths=[Path.cwd()], workspace=Path(sys.argv[1]))
 print(job.pid, flush=True)
 while True:
     for message in job.poll():
@@ -338,7 +352,7 @@ def test_a_killed_parent_takes_its_worker_with_it_and_the_job_goes_on_at_once(
 ) -> None:
     before("depth", textured, tmp_path / "w")
     parent = subprocess.Popen(
-        [sys.executable, "-c", PARENT, tmp_path / "log", *arguments(small_photos, tmp_path / "w", "depth")], cwd=ROOT,
+        [sys.executable, "-c", PARENT, tmp_path / "w", *arguments(small_photos, tmp_path / "w", "depth")], cwd=ROOT,
         stdout=subprocess.PIPE, text=True,
     )
     assert parent.stdout

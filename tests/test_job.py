@@ -36,7 +36,7 @@ def start_worker(tmp_path: Path) -> StartWorker:
         (package / "__main__.py").write_text(PRELUDE + textwrap.dedent(lines), encoding="utf-8")
         return Job(
             ["reconstruct", "photos"], python=sys.executable, import_paths=[package.parent.parent],
-            log=tmp_path / "worker.log", grace=grace,
+            workspace=tmp_path, grace=grace,
         )
 
     return start
@@ -141,11 +141,15 @@ def test_a_worker_that_stands_still_can_be_ended(start_worker: StartWorker, end:
     assert isinstance(failure, Failure) and failure.kind == "cancelled"
 
 
-def test_a_worker_that_dies_tells_its_last_words_and_where_the_log_is(start_worker: StartWorker) -> None:
+def test_a_worker_that_dies_tells_its_last_words_and_where_the_log_is(
+    start_worker: StartWorker, tmp_path: Path
+) -> None:
     job = start_worker('sys.exit("the sky fell")')
     (failure,) = finish(job)
     assert isinstance(failure, Failure)
-    assert "the sky fell" in failure.message and str(job.log) in failure.remedy
+    log = tmp_path / "worker.log"
+    assert "the sky fell" in failure.message and str(log) in failure.remedy
+    assert "the sky fell" in log.read_text(encoding="utf-8")
 
 
 def test_a_worker_python_without_torch_names_the_preference(start_worker: StartWorker) -> None:
@@ -157,7 +161,7 @@ def test_a_worker_python_without_torch_names_the_preference(start_worker: StartW
 
 def test_an_interpreter_that_is_not_there_is_an_error_with_a_remedy(tmp_path: Path) -> None:
     with pytest.raises(WorkerError, match="no-python-here") as caught:
-        Job([], python=tmp_path / "no-python-here", import_paths=[tmp_path], log=tmp_path / "log")
+        Job([], python=tmp_path / "no-python-here", import_paths=[tmp_path], workspace=tmp_path)
     assert "Worker Python" in caught.value.remedy
 
 

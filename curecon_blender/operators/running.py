@@ -16,7 +16,7 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from ..core.errors import Cancelled, CuReconError
 from ..core.messages import Failure, Log, StageStarted, failure
-from ..job import Job, Status, duration, log_path
+from ..job import Job, Status, duration
 from ..preferences import settings
 
 POLL_SECONDS = 0.05
@@ -41,9 +41,7 @@ def start(context: bpy.types.Context, task: str, arguments: list[str], workspace
     global _job, status
     chosen = settings(context)
     status = Status(task=task, running=True)
-    _job = Job(
-        arguments, python=chosen.worker_python, import_paths=chosen.import_paths, log=log_path(workspace),
-    )
+    _job = Job(arguments, python=chosen.worker_python, import_paths=chosen.import_paths, workspace=workspace)
 
 
 def idle(operator: type[bpy.types.Operator]) -> bool:
