@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Bringing a workspace into the scene, and looking at what came."""
+"""Bringing a workspace into the scene, and turning the view to what came."""
 
 # mypy: disable-error-code="valid-type"
 # Blender reads its properties from annotations that are calls.
@@ -138,23 +138,4 @@ class CURECON_OT_frame_cloud(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class CURECON_OT_look_through(bpy.types.Operator):
-    """Look through the active photo camera, with renders of its photo's size"""
-
-    bl_idname = "curecon.look_through"
-    bl_label = "Look Through Photo"
-    bl_options = {"UNDO"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if cameras.is_photo_camera(context.active_object):
-            return True
-        cls.poll_message_set("Select the camera of a photo first")
-        return False
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        cameras.look_through(context, context.active_object)
-        return {"FINISHED"}
-
-
-CLASSES = (CURECON_OT_import_workspace, CURECON_OT_frame_cloud, CURECON_OT_look_through)
+CLASSES = (CURECON_OT_import_workspace, CURECON_OT_frame_cloud)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Looking through one photo's camera after another, with the photo over the scene."""
+"""Looking through the photos' cameras, with the photo over the scene."""
 
 # mypy: disable-error-code="valid-type"
 # Blender reads its properties from annotations that are calls.
@@ -9,28 +9,33 @@ from __future__ import annotations
 
 import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
-from bpy.props import BoolProperty
+from bpy.props import EnumProperty
 
 from ..core import capture
 from ..core.errors import WorkspaceError
 from ..scene import cameras, flight, stage
 from . import places
 
+WHICH = (
+    ("NEXT", "Next", "Look through the next photo's camera, in order of capture, with the photo laid over the scene"),
+    ("PREVIOUS", "Previous",
+     "Look through the previous photo's camera, in order of capture, with the photo laid over the scene"),
+    ("SELECTED", "Selected", "Look through the selected photo camera, with its photo laid over the scene"),
+)
 
-class CURECON_OT_step_photo(bpy.types.Operator):
-    """Look through the next photo's camera, in order of capture, with the photo laid over the scene"""
 
-    bl_idname = "curecon.step_photo"
-    bl_label = "Next Photo"
+class CURECON_OT_look_through(bpy.types.Operator):
+    """Look through a photo's camera, with the photo laid over the scene and renders of the photo's size"""
+
+    bl_idname = "curecon.look_through"
+    bl_label = "Look Through Photo"
     bl_options = {"REGISTER", "UNDO"}
 
-    back: BoolProperty(name="Back", description="Go to the photo before", default=False)
+    which: EnumProperty(name="Photo", description="Whose camera is looked through", items=WHICH, default="NEXT")
 
     @classmethod
     def description(cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
-        if properties.back:
-            return "Look through the previous photo's camera, in order of capture, with the photo laid over the scene"
-        return "Look through the next photo's camera, in order of capture, with the photo laid over the scene"
+        return next(text for name, _, text in WHICH if name == properties.which)
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -41,22 +46,27 @@ class CURECON_OT_step_photo(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         scene = context.scene
+        camera = context.active_object if self.which == "SELECTED" else self._beside(scene)
+        if not cameras.is_photo_camera(camera):
+            self.report({"ERROR"}, "Select the camera of a photo first.")
+            return {"CANCELLED"}
+        cameras.look_through(context, camera)
+        stage.apply_quality(scene)
+        cameras.overlay(camera, scene.curecon.present.photo_opacity)
+        return {"FINISHED"}
+
+    def _beside(self, scene: bpy.types.Scene) -> bpy.types.Object:
+        """The camera after or before the scene's own in order of capture, around both ends."""
         try:
             times = capture.read_times(places.absolute(scene.curecon.result.workspace))
         except WorkspaceError as error:
             times = {}
             said = rpt_("{} The photos are gone through in order of their names.")
             self.report({"WARNING"}, said.format(error.message))
-        found = flight.in_order(scene, times)
-        step = -1 if self.back else 1
+        found, step = flight.in_order(scene, times), 1 if self.which == "NEXT" else -1
         if scene.camera in found:
-            camera = found[(found.index(scene.camera) + step) % len(found)]
-        else:
-            camera = found[-1 if self.back else 0]
-        cameras.look_through(context, camera)
-        stage.apply_quality(scene)
-        cameras.overlay(camera, scene.curecon.present.photo_opacity)
-        return {"FINISHED"}
+            return found[(found.index(scene.camera) + step) % len(found)]
+        return found[0 if step > 0 else -1]
 
 
-CLASSES = (CURECON_OT_step_photo,)
+CLASSES = (CURECON_OT_look_through,)

@@ -85,10 +85,13 @@ class CURECON_PT_present_photos(_Part, bpy.types.Panel):
     def draw_part(self, context: bpy.types.Context, present: bpy.types.PropertyGroup) -> None:
         layout, camera = self.layout, context.scene.camera
         row = layout.row(align=True)
-        row.operator("curecon.step_photo", text="", icon="TRIA_LEFT").back = True
+        row.operator("curecon.look_through", text="", icon="TRIA_LEFT").which = "PREVIOUS"
         shown = camera.name if cameras.is_photo_camera(camera) else iface_("No photo")
         row.label(text=shown, translate=False)
-        row.operator("curecon.step_photo", text="", icon="TRIA_RIGHT").back = False
+        row.operator("curecon.look_through", text="", icon="TRIA_RIGHT").which = "NEXT"
+        row = layout.row()
+        row.enabled = cameras.is_photo_camera(context.active_object)
+        row.operator("curecon.look_through", text="Selected Camera", icon="RESTRICT_SELECT_OFF").which = "SELECTED"
         layout.prop(present, "photo_opacity", slider=True)
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from ..scene import cameras
 from ..scene.surface import surfaces_of
 from ..scene.workspace import clouds_of
 from .layout import Panel, counted, paragraph
@@ -53,10 +52,6 @@ class CURECON_PT_result(Panel, bpy.types.Panel):
         if clouds:
             row.prop(properties, "show_cloud", toggle=True, icon="POINTCLOUD_DATA")
         row.prop(properties, "show_cameras", toggle=True, icon="CAMERA_DATA")
-        row = layout.row()
-        sub = row.row(align=True)
-        sub.enabled = cameras.is_photo_camera(context.active_object)
-        sub.operator("curecon.look_through", text="Look Through")
 
 
 CLASSES = (CURECON_PT_result,)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The cube, camera and light that Blender puts into every new file."""
+"""The cube, camera and light that Blender puts into every new file, and the collection that they are in."""
 
 from __future__ import annotations
 
@@ -16,10 +16,14 @@ PLACES = {
 
 
 def clear(scene: bpy.types.Scene) -> bool:
-    """Take them out of a scene that holds nothing else, and only as Blender made them; returns whether it did."""
+    """Take them out of a scene that holds nothing else, and only as Blender made them, with the collection that
+    is empty then; returns whether it did."""
     items = list(scene.objects)
     if not items or not all(_is_untouched(item) for item in items):
         return False
+    for holder in list(scene.collection.children):
+        if holder.objects and not holder.children:  # all of them ours, as is told above
+            scene.collection.children.unlink(holder)  # removed, an undo in Blender 5.2 would not always bring it back
     bpy.data.batch_remove([*items, *(item.data for item in items)])
     return True
 

@@ -17,6 +17,7 @@ import bpy
 import gpu
 import numpy as np
 from bpy.app.handlers import persistent
+from gpu_extras.batch import batch_for_shader
 from mathutils import Euler, Matrix, Vector
 
 from . import display
@@ -27,6 +28,9 @@ MAX_POINT_PIXELS = 40.0
 MIN_POINT_PIXELS = 2.0
 MOVING_POINTS = 3_000_000  # drawn of all clouds together while the view moves; the rest follows when it rests
 REST_SECONDS = 0.25
+BOX_EDGES = (0, 1, 1, 2, 2, 3, 3, 0, 4, 5, 5, 6, 6, 7, 7, 4, 0, 4, 1, 5, 2, 6, 3, 7)  # corners of Blender's bound_box
+PAINT_PIXELS = 5.0  # a smooth wire of Blender's and a little more
+NEARER = 1e-5  # of the depth: to be before what lies at the same place
 PIECE = 1 << 18  # points that are uploaded at once
 PIECE_SECONDS = 0.02  # a drawing begins to upload pieces for so long
 
@@ -194,14 +198,16 @@ def _shown_share(context: bpy.types.Context, points: int) -> float:
 def _draw() -> None:
     context = bpy.context
     space = context.space_data
-    if space.shading.type not in {"SOLID", "WIREFRAME"}:
-        if not bpy.app.timers.is_registered(_let_nodes_show):
-            bpy.app.timers.register(_let_nodes_show, first_interval=0.0)  # nothing may be written while drawing
-        return
     clouds = [
         item for item in context.view_layer.objects
         if item.type == "POINTCLOUD" and CLOUD_KEY in item.data and item.visible_get(viewport=space)
     ]
+    if space.overlay.show_overlays:
+        _paint_over_bounds(context, [item for item in clouds if not item.select_get()])
+    if space.shading.type not in {"SOLID", "WIREFRAME"}:
+        if not bpy.app.timers.is_registered(_let_nodes_show):
+            bpy.app.timers.register(_let_nodes_show, first_interval=0.0)  # nothing may be written while drawing
+        return
     alive = {_upload_key(data) for data in bpy.data.pointclouds if CLOUD_KEY in data}
     for key in _uploads.keys() - alive:
         del _uploads[key]
@@ -228,6 +234,39 @@ def _draw() -> None:
     gpu.state.program_point_size_set(False)
     gpu.state.depth_mask_set(False)
     gpu.state.depth_test_set("NONE")
+
+
+def _paint_over_bounds(context: bpy.types.Context, items: list[bpy.types.Object]) -> None:
+    """Paint the boxes about objects shown as bounds in the background's colour, where it is one and nothing stands
+    before them: black wires about the farthest points say nothing of a site."""
+    corners = [tuple(item.matrix_world @ Vector(item.bound_box[corner])) for item in items for corner in BOX_EDGES]
+    colour = _background(context)
+    if not corners or colour is None:
+        return
+    shader = gpu.shader.from_builtin("POLYLINE_UNIFORM_COLOR")
+    shader.uniform_float("viewportSize", (context.region.width, context.region.height))
+    shader.uniform_float("lineWidth", PAINT_PIXELS * context.preferences.system.pixel_size)
+    shader.uniform_float("color", colour)
+    nearer = context.region_data.window_matrix.copy()
+    nearer[2] -= nearer[3] * NEARER
+    with gpu.matrix.push_pop_projection():
+        gpu.matrix.load_projection_matrix(nearer)
+        gpu.state.blend_set("NONE")
+        gpu.state.depth_test_set("LESS_EQUAL")
+        batch_for_shader(shader, "LINES", {"pos": corners}).draw(shader)
+        gpu.state.depth_test_set("NONE")
+
+
+def _background(context: bpy.types.Context) -> tuple[float, float, float, float] | None:
+    """What stands behind everything in a viewport: a colour, nothing over a rendered world, None for anything else."""
+    shading = context.space_data.shading
+    if shading.type == "RENDERED" or (
+            shading.type == "MATERIAL" and (shading.use_scene_world or shading.studiolight_background_alpha > 0)):
+        return 0.0, 0.0, 0.0, 0.0
+    theme = context.preferences.themes[0].view_3d.space.gradients
+    if theme.background_type != "SINGLE_COLOR" or (shading.type != "MATERIAL" and shading.background_type != "THEME"):
+        return None
+    return (*theme.high_gradient, 1.0)
 
 
 def _block(

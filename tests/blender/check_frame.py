@@ -56,7 +56,7 @@ def check_photos() -> None:
     for index, name in enumerate(workspace_scene.PHOTOS):
         camera = bpy.data.objects[name]
         with bpy.context.temp_override(active_object=camera):
-            bpy.ops.curecon.look_through()
+            bpy.ops.curecon.look_through(which="SELECTED")
         K, cam_from_world = workspace_scene.camera(index)
         for place, site in zip(where(SLAB), SLAB, strict=True):
             seen = world_to_camera_view(scene(), camera, Vector(place))

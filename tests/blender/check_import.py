@@ -52,7 +52,7 @@ def check_cameras() -> None:
     for index, name in enumerate(workspace_scene.PHOTOS):
         camera = bpy.data.objects[name]
         with bpy.context.temp_override(active_object=camera):
-            assert bpy.ops.curecon.look_through() == {"FINISHED"}
+            assert bpy.ops.curecon.look_through(which="SELECTED") == {"FINISHED"}
         bpy.context.view_layer.update()
         calibration, cam_from_world = workspace_scene.camera(index)
         for point in workspace_scene.cloud().points[:50].astype(float):
@@ -77,8 +77,10 @@ def check_new_file() -> None:
         assert bpy.ops.curecon.import_workspace(directory=str(FOLDER / "one")) == {"FINISHED"}
         bpy.ops.ed.undo_push(message="imported")
         assert own & set(bpy.data.objects.keys()) == (own if touch else set())
+        assert ("Collection" in bpy.context.scene.collection.children) == touch
         bpy.ops.ed.undo()
         assert {item.name for item in bpy.context.scene.objects} == own
+        assert set(bpy.context.scene.collection.children["Collection"].objects.keys()) == own
         curecon_blender.unregister()
 
 

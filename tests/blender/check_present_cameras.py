@@ -45,7 +45,7 @@ def litter() -> tuple[int, ...]:
 curecon_blender.register()
 try:
     bpy.ops.wm.read_homefile(use_empty=True)
-    assert not bpy.ops.curecon.move_camera.poll() and not bpy.ops.curecon.step_photo.poll()
+    assert not bpy.ops.curecon.move_camera.poll() and not bpy.ops.curecon.look_through.poll()
     workspace_scene.write(FOLDER)
     surface_scene.write(FOLDER, textured=False)
     photos = [{"name": name, "time": f"2024-09-28T10:0{index}:00"} for index, name in enumerate(ORDER)]
@@ -105,16 +105,20 @@ try:
 
     # Photo after photo in order of capture, around both ends, with the photo over the scene.
     for expected in (ORDER[0], ORDER[1]):
-        assert bpy.ops.curecon.step_photo() == {"FINISHED"} and scene.camera.name == expected
+        assert bpy.ops.curecon.look_through() == {"FINISHED"} and scene.camera.name == expected
     for expected in (ORDER[0], ORDER[-1]):
-        assert bpy.ops.curecon.step_photo(back=True) == {"FINISHED"} and scene.camera.name == expected
+        assert bpy.ops.curecon.look_through(which="PREVIOUS") == {"FINISHED"} and scene.camera.name == expected
     assert (scene.render.resolution_x, scene.render.resolution_y) == workspace_scene.SIZE
     present.photo_opacity = 0.25
     (background,) = scene.camera.data.background_images
     assert cameras.is_overlaid(scene.camera)
     assert background.display_depth == "FRONT" and abs(background.alpha - 0.25) < 1e-6
-    bpy.ops.curecon.step_photo()
+    bpy.ops.curecon.look_through()
     assert abs(scene.camera.data.background_images[0].alpha - 0.25) < 1e-6
+    chosen = bpy.data.objects[ORDER[1]]
+    with bpy.context.temp_override(active_object=chosen):
+        assert bpy.ops.curecon.look_through(which="SELECTED") == {"FINISHED"}
+    assert scene.camera == chosen and cameras.is_overlaid(chosen)
 finally:
     curecon_blender.unregister()
 print("CHECKED")
