@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
 
-from .core.errors import Cancelled, CuReconError
+from .core.errors import NO_MEMORY, Cancelled, CuReconError, OutOfMemory
 from .core.messages import (
     Failure,
     Log,
@@ -279,6 +279,7 @@ class Job:
 
     def _death(self, code: int) -> Failure:
         """Words for a worker that ended without a Result or a Failure."""
+        error: CuReconError
         self._logger.join(LOG_GRACE)
         said = self._said.decode("utf-8", "replace").strip()
         if missing := MISSING_MODULE.search(said):
@@ -290,6 +291,8 @@ class Job:
             error = WorkerError(
                 "The disk is full.", remedy="Free some space, then run it again: finished work is kept."
             )
+        elif NO_MEMORY.search(said):  # some libraries end the process then
+            error = OutOfMemory()
         elif code == KILLED:
             error = WorkerError(
                 "The worker was killed by the system, most often because the computer ran out of memory.",

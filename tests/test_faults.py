@@ -25,7 +25,7 @@ from conftest import ROOT, SITE, SITE_PHOTOS, Run, curecon
 from PIL import Image
 
 from curecon_blender.core.components import read
-from curecon_blender.core.messages import Failure, Message, Progress, Result
+from curecon_blender.core.messages import Failure, Message, Progress, Result, StageStarted
 from curecon_blender.core.options import STAGES
 from curecon_blender.job import Job
 
@@ -170,6 +170,25 @@ def test_the_disk_fills_up_and_then_the_worker_is_killed(
     assert not [child for child in children if child.is_running()]
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
     assert not [*workspace.rglob(".*.partial")]
+
+
+@pytest.mark.skipif(not hasattr(psutil, "RLIMIT_AS"), reason="a process's memory can be limited on Linux only")
+@pytest.mark.parametrize("stage", ["photos", "depth", "texture"])
+def test_memory_that_is_refused_is_told_as_such(
+    stage: str, textured: tuple[Path, Run], small_photos: Path, tmp_path: Path
+) -> None:
+    before(stage, textured, tmp_path / "w")
+    job = start(small_photos, tmp_path / "w", stage)
+    while not any(isinstance(message, StageStarted) and message.stage == stage for message in job.poll()):
+        assert not job.finished
+        time.sleep(0.001)
+    worker = psutil.Process(job.pid)
+    worker.rlimit(psutil.RLIMIT_AS, (worker.memory_info().vms,) * 2)  # not one page more
+    if not job.wait(30):  # the linear algebra's library asks again and again, for ever, now and then
+        job.cancel()
+    failure = ended(job)
+    assert isinstance(failure, Failure) and failure.kind in ("memory", "cancelled"), failure
+    finished_again(small_photos, tmp_path / "w", stage, textured)
 
 
 @pytest.fixture

@@ -91,15 +91,16 @@ class SurfaceError(CuReconError):
     kind = "surface"
 
 
-_NO_MEMORY = re.compile(
-    r"out of memory|allocate memory|failed to allocate|insufficient memory|not enough memory|bad_alloc", re.IGNORECASE
+NO_MEMORY = re.compile(  # the many ways in which libraries say that memory could not be had
+    r"out of memory|allocate memory|failed to allocate|insufficient memory|not enough memory|bad_alloc"
+    r"|start new thread|thread creation failed|failed to map segment", re.IGNORECASE
 )
 
 
 def ran_out_of_memory(error: Exception) -> bool:
-    """Whether this is one of the many ways in which libraries say that memory could not be had."""
+    """Whether an error says that memory could not be had."""
     return isinstance(error, MemoryError) or (
-        not isinstance(error, CuReconError) and _NO_MEMORY.search(str(error)) is not None
+        not isinstance(error, CuReconError) and NO_MEMORY.search(str(error)) is not None
     )
 
 

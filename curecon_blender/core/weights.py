@@ -12,7 +12,7 @@ from typing import Any
 import safetensors.torch
 import torch
 
-from .errors import WeightsError
+from .errors import OutOfMemory, WeightsError, ran_out_of_memory
 from .files import write_json
 from .network import LCMMVSNet, NetworkConfig
 from .reading import build, read_bytes, read_json
@@ -65,6 +65,8 @@ def load_network(path: Path | None = None) -> LCMMVSNet:
         network = LCMMVSNet(config)
         network.load_state_dict(tensors, strict=True)
     except (RuntimeError, ValueError, TypeError, KeyError, safetensors.SafetensorError) as error:
+        if ran_out_of_memory(error):
+            raise OutOfMemory from error
         raise WeightsError(
             f"{weights} holds the weights of another network: {error}", remedy=_REMEDY, path=weights
         ) from error
