@@ -7,18 +7,20 @@ from __future__ import annotations
 import numpy as np
 
 WALL = 0.3  # |z| of a wall's unit normal is below it
+ROUND = 0.1  # how far a building's walls agree, of 1 where all do, below which it is round: a Tulou comes to 0.04
 STEPS = 180  # of the search for a rectangle, half a degree each
 
 
-def wall_direction(normals: np.ndarray, areas: np.ndarray) -> float | None:
-    """The direction that most wall faces along or across, from faces' unit normals (N,3) and areas (N,); None without
-    walls."""
+def wall_direction(normals: np.ndarray, areas: np.ndarray) -> tuple[float, bool] | None:
+    """The direction that most wall faces along or across, from faces' unit normals (N,3) and areas (N,), and whether
+    the walls are round: they have none then, and it is 0. None without walls."""
     walls = np.abs(normals[:, 2]) < WALL
-    if not walls.any():
+    if not areas[walls].sum() > 0:
         return None
     angles = np.arctan2(normals[walls, 1], normals[walls, 0])
-    mean = (areas[walls] * np.exp(4j * angles)).sum()  # four times the angle: the walls of a box are all alike
-    return float(np.angle(mean) / 4)
+    mean = np.average(np.exp(4j * angles), weights=areas[walls])  # of four times the angle: a box's walls are all alike
+    is_round = bool(abs(mean) < ROUND)
+    return (0.0 if is_round else float(np.angle(mean) / 4)), is_round
 
 
 def rectangle_direction(points: np.ndarray) -> float:

@@ -28,7 +28,10 @@ class CURECON_OT_render_elevations(RenderSeries, bpy.types.Operator):
         bare = elevations.write_sheets(self._plan, folder, rendering.title_of(scene), rendering.today())
         if bare:
             self.report({"WARNING"}, rpt_("Next to nothing was measured on: {}.").format(", ".join(bare)))
-        return rpt_("{} sheets and elevations.pdf are in {}.").format(len(self._plan.elevations), folder)
+        said = [rpt_("{} sheets and elevations.pdf are in {}.").format(len(self._plan.elevations), folder)]
+        if self._plan.round:
+            said.append(rpt_("The walls face all ways alike, so the sides are those of the scene's axes."))
+        return " ".join(said)
 
 
 CLASSES = (CURECON_OT_render_elevations,)

@@ -62,6 +62,10 @@ class CURECON_PT_present_sun(_Part, bpy.types.Panel):
         row.operator("curecon.set_sun", icon="LIGHT_SUN")
         if daylight.is_shining(context.scene):
             row.operator("curecon.remove_sun", text="", icon="X")
+            layout.prop(present, "sky_only")
+            if not present.sky_only:
+                paragraph(layout, context, "The photos hold the shadows of their day: the sun's fall beside them.",
+                          icon="INFO")
 
 
 class CURECON_PT_present_moves(_Part, bpy.types.Panel):
@@ -106,6 +110,7 @@ class CURECON_PT_present_elevations(_Part, bpy.types.Panel):
         else:
             paragraph(layout, context, "Scale unknown: the sheets will say so and carry no scale bar.", icon="INFO")
         layout.prop(present, "facade_turn")
+        layout.row().prop(present, "sheet_light", expand=True)
         layout.operator("curecon.render_elevations", icon="SNAP_PERPENDICULAR")
 
 

@@ -10,9 +10,9 @@ from __future__ import annotations
 from math import pi
 
 import bpy
-from bpy.props import EnumProperty, FloatProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 
-from ..scene import cameras, stage
+from ..scene import cameras, daylight, stage
 
 SCALES = tuple(
     (str(scale), f"1:{scale}", f"1 cm on the paper is {scale / 100:g} m on the building")
@@ -21,6 +21,10 @@ SCALES = tuple(
 QUALITIES = (
     ("DRAFT", "Draft", "Seconds a picture: films of 960 x 540 pixels, sheets of 4 pixels a millimetre (102 dpi)"),
     ("GOOD", "Good", "Minutes a picture: films of 1920 x 1080 pixels, sheets of 8 pixels a millimetre (203 dpi)"),
+)
+SHEET_LIGHTS = (
+    ("PHOTO", "Photos", "An even record: the photos' colours as they are"),
+    ("SCENE", "Scene", "With the light and shadows of the scene's lamps and sky, where the surface takes them"),
 )
 ENGINES = (
     ("CYCLES", "Cycles", "Works on every computer"),
@@ -34,6 +38,10 @@ def _overlay(present: CURECON_PG_present, context: bpy.types.Context) -> None:
         cameras.overlay(camera, present.photo_opacity)
 
 
+def _sky_only(present: CURECON_PG_present, context: bpy.types.Context) -> None:
+    daylight.soften(present.id_data, present.sky_only)
+
+
 def _quality(present: CURECON_PG_present, context: bpy.types.Context) -> None:
     stage.apply_quality(present.id_data)
 
@@ -44,6 +52,12 @@ class CURECON_PG_present(bpy.types.PropertyGroup):
         description="Hours from -14 to 14, added to the photos' clock: -1 for summer time where the photos tell no "
                     "time zone, or more for a zone that is not the longitude's or a clock that was wrong",
         default=0.0, min=-14.0, max=14.0, step=25, precision=2,
+    )
+    sky_only: BoolProperty(
+        name="Soft Sky Only",
+        description="Leave the sun lamp out and let the sky alone light the surface: no shadows beside those that the "
+                    "photos hold already",
+        default=False, update=_sky_only,
     )
     latitude: FloatProperty(
         name="Latitude", description="Of the site where the photos do not tell it, -90 to 90 degrees, north positive",
@@ -87,6 +101,9 @@ class CURECON_PG_present(bpy.types.PropertyGroup):
     facade_turn: FloatProperty(
         name="Turn", description="Added to the building's main direction, -90 to 90 degrees, anticlockwise from above",
         default=0.0, min=-pi / 2, max=pi / 2, subtype="ANGLE",
+    )
+    sheet_light: EnumProperty(
+        name="Light", description="In which the elevations are drawn", items=SHEET_LIGHTS, default="PHOTO",
     )
     quality: EnumProperty(
         name="Quality", description="Of all that is rendered, with F12 too", items=QUALITIES, default="DRAFT",

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..core import sheet, sheet_files
 from ..core.sheet import Drawing
-from . import site, stage
+from . import site, stage, surface
 from .lettering import letters
 
 BARE = 0.1  # share of a drawing with anything on it, below which its side counts as not measured
@@ -34,9 +34,11 @@ class Elevation:
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """All five drawings. `scale` is the denominator, None where the scale is unknown."""
+    """All five drawings. `scale` is the denominator, None where the scale is unknown; `round` says that the building
+    has no sides of its own."""
 
     elevations: tuple[Elevation, ...]
+    round: bool
     scale: int | None
     pixels_per_mm: int
 
@@ -49,6 +51,7 @@ def plan(scene: bpy.types.Scene, staged: bpy.types.Scene, folder: Path) -> Plan:
     scale = int(present.sheet_scale) if scene.curecon.result.scale == "metres" else None
     has_north = site.place(scene).north
     stage.show_fronts_only(staged)
+    surface.light(staged, by_scene=present.sheet_light == "SCENE")
     x, y = about.axis(0), about.axis(1)
     views = [(side, np.array([np.cross(UP, out), UP, out])) for side, out in zip(SIDES, (-y, x, y, -x), strict=True)]
     views.append(("Roof plan", np.array([x, y, UP])))
@@ -69,7 +72,7 @@ def plan(scene: bpy.types.Scene, staged: bpy.types.Scene, folder: Path) -> Plan:
             shot=stage.Shot(name=name, file=file, camera=camera, size=pixels, clear=True), name=name,
             orientation=orientation, north=north,
         ))
-    return Plan(elevations=tuple(made), scale=scale, pixels_per_mm=pixels_per_mm)
+    return Plan(elevations=tuple(made), round=about.round, scale=scale, pixels_per_mm=pixels_per_mm)
 
 
 def write_sheets(made: Plan, folder: Path, title: str, date: str) -> list[str]:

@@ -23,7 +23,9 @@ CLOSING = 1.2  # discs of radius 1.2 / sqrt(density) leave 1 % of a randomly sam
 SUBJECT = 2.5  # times the median distance from the middle: what a view holds
 SUBJECT_CELLS = 48  # along the longest side, for the density there
 THIN = 1 / 3  # of the median density: what is measured less is land about the subject, or strays
-SUBJECT_SAMPLE = 200_000  # points that suffice to tell what a view should hold
+SPIRE = 1 / 12  # of the median density: as much is enough for what stands on top of the subject
+ABOVE = [(x << 42) + (y << 21) + 1 for x in (-1, 0, 1) for y in (-1, 0, 1)]  # from a cell's key to those above it
+SUBJECT_SAMPLE = 100_000  # points that suffice to tell what a view should hold
 MEDIAN_SAMPLE = 25_000  # points that suffice for a median
 SPACING_CELLS = 64  # along the longest side, for the spacing estimate
 SPACING_SAMPLES = 48
@@ -177,19 +179,34 @@ def positions(data: bpy.types.PointCloud | bpy.types.Mesh) -> np.ndarray:
 
 
 def about_the_subject(points: np.ndarray) -> np.ndarray:
-    """Which (N,) bool of points (N,3) of a cloud a view should hold: photos show far land, too, and a view of all of it
-    would show no building. What the photos are about is in the middle, and densely measured."""
+    """Which (N,) bool of points (N,3) of a cloud, Z up, a view should hold: photos show far land, too, and a view of
+    all of it would show no building. What the photos are about is in the middle, and densely measured; a spire on top
+    of it belongs to it, thin and high as it is."""
     if not len(points):
         return np.zeros(0, bool)
     step = max(1, len(points) // MEDIAN_SAMPLE)
     distance = np.linalg.norm(points - np.median(points[::step], axis=0), axis=1)
-    kept: np.ndarray = distance <= SUBJECT * np.median(distance[::step])
-    low, high = np.percentile(points[::step][kept[::step]], [5, 95], axis=0)
+    near = distance <= SUBJECT * np.median(distance[::step])
+    low, high = np.percentile(points[::step][near[::step]], [5, 95], axis=0)
     cell = max(float((high - low).max()) / SUBJECT_CELLS, 1e-9)
-    _, cell_of, counts = np.unique(_cell_keys(points[kept], low, cell), return_inverse=True, return_counts=True)
-    density = counts[cell_of]
-    kept[kept] = density >= THIN * np.median(density)
-    return kept
+    cells, cell_of, counts = np.unique(_cell_keys(points, low, cell), return_inverse=True, return_counts=True)
+    median = np.median(counts[cell_of[near]])
+    about = np.bincount(cell_of[near], minlength=len(cells)) >= THIN * median
+    _add_spires(about, cells, counts >= SPIRE * median)
+    dense: np.ndarray = about[cell_of]
+    return dense
+
+
+def _add_spires(about: np.ndarray, cells: np.ndarray, enough: np.ndarray) -> None:
+    """Add to the cells of the subject (C,) bool those with `enough` points (C,) bool that stand on it, one upon
+    another; `cells` (C,) are their keys in order."""
+    kept, candidates = set(cells[about].tolist()), set(cells[enough & ~about].tolist())
+    front = kept
+    while front:
+        front = {above for key in front for step in ABOVE if (above := key + step) in candidates}
+        candidates -= front
+        kept = kept | front
+    about |= np.isin(cells, np.fromiter(kept, np.int64, len(kept)))
 
 
 def subject(item: bpy.types.Object) -> np.ndarray:

@@ -25,11 +25,12 @@ GROUND_SAMPLE = 50_000  # points that suffice to tell where the ground is, in a 
 @dataclass(frozen=True, kw_only=True)
 class Box:
     """A box with Z up in the scene's world: `centre` (3,), `half` its half sizes (3,) in scene units along its own
-    axes, which are turned by `turn` radians, anticlockwise."""
+    axes, which are turned by `turn` radians, anticlockwise. About a round building it has the scene's axes."""
 
     centre: np.ndarray
     half: np.ndarray
     turn: float
+    round: bool = False
 
     @property
     def ground(self) -> float:
@@ -80,7 +81,8 @@ def box(scene: bpy.types.Scene, turned_by: float = 0.0) -> Box:
     places = points.subject(item)
     if not len(places):
         raise SurfaceError(f"{item.name} is empty.", remedy="Import its workspace again.")
-    turn = turned_by + (_direction_of(item) if is_surface(item) else footprint.rectangle_direction(places[:, :2]))
+    direction, is_round = _direction_of(item)
+    turn = turned_by + direction
     plan = footprint.turned(places[:, :2], turn)
     low, high = np.percentile(plan, [0.5, 99.5], axis=0)
     inside = places[np.all((plan >= low) & (plan <= high), axis=1), 2]
@@ -88,7 +90,7 @@ def box(scene: bpy.types.Scene, turned_by: float = 0.0) -> Box:
     middle = footprint.turned(((low + high) / 2)[None], -turn)[0]
     return Box(
         centre=np.array([*middle, (bottom + top) / 2]), half=np.array([*(high - low) / 2, (top - bottom) / 2]),
-        turn=turn,
+        turn=turn, round=is_round,
     )
 
 
@@ -107,8 +109,7 @@ def ground(cloud: bpy.types.Object, world_from_cloud: np.ndarray) -> float:
     """Height in the world of the lowest level that spreads wide in a cloud, which stands there by a similarity (4,4).
     Raises FrameError when none does."""
     data, (slope, high) = cloud.data, (world_from_cloud[2, :3], world_from_cloud[2, 3])
-    normals = np.empty((len(data.points), 3), np.float32)
-    data.attributes["normal"].data.foreach_get("vector", normals.ravel())
+    normals = _normals(data)
     step = max(1, len(normals) // GROUND_SAMPLE)
     places = points.positions(data)[::step]
     subject = points.about_the_subject(places)
@@ -133,16 +134,26 @@ def _box_of_region(region: bpy.types.Object, turned_by: float) -> Box:
     )
 
 
-def _direction_of(item: bpy.types.Object) -> float:
-    """Of a surface's walls or, where it has none, of the rectangle about it."""
-    count = len(item.data.polygons)
-    normals, areas = np.empty((count, 3), np.float32), np.empty(count, np.float32)
-    item.data.polygons.foreach_get("normal", normals.ravel())
-    item.data.polygons.foreach_get("area", areas)
-    rotation = np.array(item.matrix_world.to_3x3().normalized())
-    walls = footprint.wall_direction(normals @ rotation.T, areas)
+def _direction_of(item: bpy.types.Object) -> tuple[float, bool]:
+    """Of the walls of a surface or a cloud, and whether they are round; without any, of the rectangle about it."""
+    if is_surface(item):
+        count = len(item.data.polygons)
+        normals, areas = np.empty((count, 3), np.float32), np.empty(count, np.float32)
+        item.data.polygons.foreach_get("normal", normals.ravel())
+        item.data.polygons.foreach_get("area", areas)
+    else:
+        normals = _normals(item.data)
+        normals = normals[:: max(1, len(normals) // points.SUBJECT_SAMPLE)]
+        areas = np.ones(len(normals), np.float32)
+    walls = footprint.wall_direction(normals @ np.array(item.matrix_world.to_3x3().normalized()).T, areas)
     if walls is not None:
         return walls
-    vertices = points.positions(item.data)
-    sample = vertices[:: max(1, len(vertices) // points.SUBJECT_SAMPLE)] @ np.array(item.matrix_world.to_3x3()).T
-    return footprint.rectangle_direction(sample[:, :2])
+    places = points.positions(item.data)
+    sample = places[:: max(1, len(places) // points.SUBJECT_SAMPLE)] @ np.array(item.matrix_world.to_3x3()).T
+    return footprint.rectangle_direction(sample[:, :2]), False
+
+
+def _normals(data: bpy.types.PointCloud) -> np.ndarray:
+    normals = np.empty((len(data.points), 3), np.float32)
+    data.attributes["normal"].data.foreach_get("vector", normals.ravel())
+    return normals

@@ -15,7 +15,7 @@ import numpy as np
 from mathutils import Matrix
 
 from ..core.camera_path import CameraPath
-from . import flight, presentation, site
+from . import flight, presentation, site, surface
 from .surface import surfaces_of
 
 STAGE_ROLE = "stage"
@@ -95,6 +95,7 @@ def find() -> bpy.types.Scene | None:
 def close_stage(stage: bpy.types.Scene) -> None:
     """Take away the copy, with the cameras that only it has and what it changed on the surfaces."""
     _show_both_sides(stage)
+    surface.light(stage, by_scene=stage.curecon.surface_light == "SCENE")
     own = [item for item in stage.collection.objects if item.get(presentation.ROLE_KEY) == STAGE_ROLE]
     for camera in own:
         bpy.data.cameras.remove(camera.data)

@@ -19,7 +19,7 @@ from ..core.mesh import Mesh, filled_share, mesh_file, read_mesh, textured_folde
 from ..core.ply import read_cloud
 from ..core.types import Component, Frame
 from ..core.workspace import refuse_links
-from . import cameras, cloud_edits, display, frame, new_file, points, surface
+from . import backdrop, cameras, cloud_edits, display, frame, new_file, points, surface
 
 WORKSPACE_KEY = "curecon_workspace"  # on the collection: the workspace it was imported from
 UNPLACED_KEY = "curecon_unplaced"  # on the collection while it is built, and in no scene yet
@@ -70,13 +70,14 @@ class PartContent:
 @dataclass(frozen=True, kw_only=True)
 class Content:
     """All that a workspace `folder` brings into a scene, in arrays as Blender stores them; `filled`, `stale_edits` and
-    `bounds` as in Imported."""
+    `bounds` as in Imported, `ground` the linear colour of the ground."""
 
     folder: Path
     parts: tuple[PartContent, ...]
     filled: float
     stale_edits: bool
     bounds: points.Bounds | None
+    ground: tuple[float, float, float]
 
 
 def read(folder: Path) -> Content:
@@ -100,6 +101,7 @@ def read(folder: Path) -> Content:
     return Content(
         folder=folder, parts=tuple(parts), filled=filled_share(meshes),
         stale_edits=any(is_stale(folder / part.component.cloud) for part in parts), bounds=_bounds(parts),
+        ground=next((backdrop.ground_colour(part.cloud) for part in parts if part.cloud is not None), backdrop.GREY),
     )
 
 
@@ -205,11 +207,15 @@ def _build_part(
 
 
 def _place(scene: bpy.types.Scene, content: Content, top: bpy.types.Collection) -> Imported:
+    first = not frame.parts_of(scene)
     for collection in list(scene.collection.children):
         if collection.get(WORKSPACE_KEY) == str(content.folder):
             _remove(scene, collection)
     cleared = new_file.clear(scene)
+    if first:  # later ones leave what the user has changed since
+        backdrop.set_up(scene, content.ground)
     del top[UNPLACED_KEY]
+    top[backdrop.GROUND_KEY] = content.ground
     top.name = _name(content)
     _drop_numbers(top)
     scene.collection.children.link(top)

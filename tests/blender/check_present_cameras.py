@@ -102,6 +102,12 @@ try:
     kept = places[about_the_subject(places)]
     assert len(kept) > 0.8 * len(house) and np.abs(kept[:, 2]).max() < 6
     assert np.abs(np.percentile(kept[:, :2], [1, 99], axis=0)).max() < 12
+    # A spire on it is, as thin and high as it may be, and a bird in the sky is not.
+    spire, bird = (rng.uniform(low, high, (count, 3)) for low, high, count in (
+        ((-0.2, -0.2, 5), (0.2, 0.2, 17), 600), ((3, 3, 9), (3.2, 3.2, 9.2), 3)))
+    places = np.concatenate([places, spire, bird])
+    kept = places[about_the_subject(places)]
+    assert kept[:, 2].max() > 16.5 and not ((kept[:, 0] > 1) & (kept[:, 2] > 6)).any()
 
     # Photo after photo in order of capture, around both ends, with the photo over the scene.
     for expected in (ORDER[0], ORDER[1]):

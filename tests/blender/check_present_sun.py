@@ -47,6 +47,9 @@ try:
     surface_scene.write(FOLDER, textured=False)
     bpy.ops.curecon.import_workspace(directory=str(FOLDER))
     scene = bpy.context.scene
+    # Against a sky and a ground of its own, in the photos' own colours; the next import leaves the user's.
+    assert scene.world.name == "CU-Recon Backdrop" and scene.view_settings.view_transform == "Standard"
+    scene.view_settings.view_transform = "AgX"
     before = bpy.data.worlds.new("The user's")
     scene.world = before
     try:
@@ -54,6 +57,8 @@ try:
         raise AssertionError("there is no photos.json yet")
     except RuntimeError as error:
         assert "capture times are unknown" in str(error)
+    bpy.ops.curecon.import_workspace(directory=str(FOLDER))
+    assert scene.world == before and scene.view_settings.view_transform == "AgX"
     none = ours()
 
     tell_times("+08:00")
@@ -81,6 +86,13 @@ try:
     later = sun.direction(*sun.position(datetime(2024, 9, 28, 5, 42, tzinfo=UTC), LATITUDE, LONGITUDE))
     assert np.degrees(np.arccos(lamp_direction() @ later)) < 0.1
     assert scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value == 0.5
+
+    # Shadows of one sun only: the lamp goes out, an even light takes its place, and both come back.
+    (lamp,) = (item for item in scene.objects if item.type == "LIGHT")
+    for alone in (True, False):
+        scene.curecon.present.sky_only = alone
+        assert lamp.hide_render == alone
+        assert scene.world.node_tree.nodes["Overcast"].inputs[1].default_value == alone
 
     scene.curecon.present.hour_correction = 12
     try:

@@ -154,8 +154,9 @@ try:
         assert matte["Roughness"].default_value == 1 and matte["Specular IOR Level"].default_value == 0
     check_both_ways()
 
-    # In the scene's light it is a matte surface: dark without lamps, lit with one.
+    # In the scene's light it is a matte surface: dark without a sky and lamps, lit with one.
     scene.curecon.surface_light = "SCENE"
+    scene.world = None
     assert surface_scene.render().max() < 60
     sun = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", "SUN"))
     sun.data.energy = np.pi  # straight from above: a level matte surface then has its own colour
