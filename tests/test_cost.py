@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -76,6 +77,24 @@ def test_predictions_come_true_after_the_first_job(tmp_path: Path) -> None:
     expected = cost.reference_seconds(bigger, options)
     for stage in ("sparse", "depth", "fusion"):
         assert slowness[stage] * expected[stage] == pytest.approx(3.7 * expected[stage], rel=0.01)
+
+
+def test_a_first_job_on_a_busy_computer_is_known_to_take_longer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Programs that give way do not count, those that queue do; what finished jobs took here is taken as it is."""
+    monkeypatch.setattr(cost, "_probe", lambda device: dict(REFERENCE))
+    monkeypatch.setattr(cost.psutil, "cpu_count", lambda: 4)
+    monkeypatch.setattr(cost.psutil, "getloadavg", lambda: (12.0, 0.0, 0.0))
+    options = Options(photos=None, workspace=tmp_path, speeds=tmp_path / "speeds.json", device="cpu")
+    photos = site(20, 1600, 1200)
+    cost.learn("depth", 1.5 * cost.reference_seconds(photos, options)["depth"], photos, options)
+    for user, system, expected in ((0.0, 0.0, 1.0), (40.0, 10.0, 1.5), (90.0, 10.0, 4.0)):
+        used = SimpleNamespace(user=user, system=system, nice=50.0)
+        monkeypatch.setattr(cost.psutil, "cpu_times_percent", lambda interval, used=used: used)
+        slowness = cost.slowness_here("cpu", options.speeds)
+        assert slowness["sparse"] == pytest.approx(expected)
+        assert slowness["depth"] == pytest.approx(1.5, rel=0.01)
 
 
 def test_a_resumed_stage_is_known_as_such() -> None:

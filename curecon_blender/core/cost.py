@@ -3,7 +3,8 @@
 """What a job will take on this computer: time, memory and disk, told before it starts.
 
 Seconds are those of the reference (two cores of a Xeon with AVX512-bf16, benchmarks/RESULTS.md) times how much slower
-this computer is. That comes from the user's own finished jobs, a stage at a time, or, before the first, from a probe.
+this computer is. That comes from the user's own finished jobs, a stage at a time, or, before the first, from a probe
+and from what other programs take of the processor meanwhile.
 """
 
 from __future__ import annotations
@@ -33,6 +34,8 @@ SHORTEST_LEARNED = 5.0  # seconds: below it a stage is mostly its start
 FEATURE_BYTES_PER_PHOTO = 3 << 20  # features and matches in COLMAP's database
 BYTES_PER_DEPTH_PIXEL = 11.0  # a depth map's file, its undistorted picture, its points and fusion's scratch, per pixel
 SURFACE_BYTES = 300 << 20  # a mesh of a million faces and its pages
+CROWDING_SECONDS = 0.5  # for which other programs are watched
+SATURATED = 0.9  # of the processors in use: from here on programs queue for them
 LIBRARIES_BYTES = 350 << 20  # the worker itself, before it has done anything
 FEATURE_BYTES_PER_PIXEL = 60  # of a photo's features, which the depth stage keeps
 # Measured peaks of other stages: matching, per thread and square of the features (8192 of them: 1.2 GiB); features, per
@@ -108,14 +111,30 @@ def reference_seconds(photos: tuple[Photo, ...], options: Options) -> dict[str, 
 
 
 def slowness_here(device: str, speeds: Path | None) -> dict[str, float]:
-    """Seconds here for one of the reference, by stage: the median of finished jobs, else what a probe says.
+    """Seconds here for one of the reference, by stage: the median of finished jobs, else what a probe says of a
+    processor that is shared as it is now.
 
     Raises DeviceError when this computer has no such device.
     """
     chosen = depth.choose_device(device)
     known = _read(speeds)
     own = {stage: statistics.median(ratios) for stage in STAGES if (ratios := known.get(_key(stage, chosen)))}
-    return {**_probe(chosen), **own}
+    probed = _probe(chosen)
+    on_processor = [stage for stage in STAGES if stage not in own and (stage != "depth" or chosen.type == "cpu")]
+    if on_processor:
+        shared = crowding()
+        probed |= {stage: shared * probed[stage] for stage in on_processor}
+    return {**probed, **own}
+
+
+def crowding() -> float:
+    """By how much work takes longer for what other programs do at this moment: 1 where they do nothing, 2 where they
+    would use all processors. Programs that give way (nice) do not count."""
+    now = psutil.cpu_times_percent(interval=CROWDING_SECONDS)
+    used = (now.user + now.system) / 100
+    if used < SATURATED:
+        return 1 + used
+    return 1 + max(used, psutil.getloadavg()[0] / (psutil.cpu_count() or 1))  # the queue before the processors
 
 
 def learn(stage: str, seconds: float, photos: tuple[Photo, ...], options: Options) -> None:
