@@ -170,6 +170,13 @@ def story(heart: Heart, options: argparse.Namespace) -> Wait:
     heart.begin("drawing the cloud")
     yield from draw()
     yield from slide_all(heart, "Solid")
+    for words, operator in (("Ground to Z = 0", bpy.ops.curecon.frame_ground), ("undo", bpy.ops.ed.undo),
+                            ("Frame All", bpy.ops.curecon.frame_cloud)):
+        heart.begin(words)
+        with override():
+            operator()
+        yield 3.0
+    properties = bpy.context.scene.curecon
     heart.begin("Solid: colour by height")
     properties.cloud.colour_by = "HEIGHT"
     yield 1.0
@@ -200,13 +207,14 @@ def main() -> None:
     parser.add_argument("--photos", type=Path)
     parser.add_argument("--preview", action="store_true")
     options = parser.parse_args(sys.argv[sys.argv.index("--") + 1:])
-    from curecon_blender.operators import running
-    from curecon_blender.scene import display, history, viewport
+    from curecon_blender.operators import frame_ground, running
+    from curecon_blender.scene import display, history, points, viewport
 
     heart = Heart()  # listens before Blender is given the functions
     heart.listen(running.StepsOperator, "_go_on", lambda: running.status.task)
     for holder, name in ((viewport._Upload, "go_on"), (viewport, "_let_nodes_show"), (display, "apply"),
-                         (display, "measure_range"), (history, "_follow")):
+                         (display, "measure_range"), (history, "_follow"), (points, "subject"),
+                         (frame_ground.CURECON_OT_frame_ground, "apply")):
         heart.listen(holder, name)
     curecon_blender.register()
     bpy.context.preferences.view.show_splash = False

@@ -20,7 +20,7 @@ from ..job import Job, Status, duration
 from ..preferences import settings
 
 POLL_SECONDS = 0.05
-STEP_SECONDS = 0.01  # a timer tick begins steps for so long: a window that waits for longer than 0.1 seems to hang
+STEP_SECONDS = 0.002  # a timer tick begins steps for so long: a long one is alone, since 0.1 seems to hang
 REDRAW_SECONDS = 1.0
 # Work in steps of a few milliseconds: each says what is being done, or is None where there is nothing to do but wait.
 # Returns the report for the user.

@@ -19,7 +19,7 @@ from .surface import is_surface, surfaces_of
 from .workspace import clouds_of
 
 LEVEL = 0.9  # z of a unit normal is above it where the ground is
-GROUND_SAMPLE = 50_000  # points that suffice to tell where the ground is, in a step that nobody notices
+GROUND_SAMPLE = 25_000  # points that suffice to tell where the ground is, in a step that nobody notices
 
 
 @dataclass(frozen=True, kw_only=True)
