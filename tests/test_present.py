@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from test_extension import blender, run_script  # noqa: F401
 
-from curecon_blender.core import camera_path, capture, sheet, sheet_files, sun
+from curecon_blender.core import camera_path, capture, footprint, sheet, sheet_files, sun
 from curecon_blender.core.errors import SurfaceError, WorkspaceError
 
 GREENWICH = (51.4779, 0.0)
@@ -164,6 +164,22 @@ def view_of(rotation: np.ndarray) -> np.ndarray:
     """The direction (3,) in which a camera with this quaternion looks."""
     w, x, y, z = rotation
     return -np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
+
+
+@pytest.mark.parametrize("turn", [-40.0, 0.0, 12.0])
+def test_a_house_stands_as_its_walls_do_and_a_round_one_as_the_map(turn: float) -> None:
+    """A wall's noise does not make it round, nor do a round house's porch and steps give it sides."""
+    rng = np.random.default_rng(0)
+    ways = np.radians(turn) + np.pi / 2 * rng.integers(0, 4, 2000) + rng.normal(0, 0.3, 2000)
+    for angles, expected in ((ways, (turn, False)), (np.concatenate([rng.uniform(0, 2 * np.pi, 8000), ways[:200]]),
+                                                     (0.0, True))):
+        walls = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(len(angles))])
+        roofs = np.tile([0.0, 0.0, 1.0], (500, 1))
+        normals = np.concatenate([walls, roofs])
+        found = footprint.wall_direction(normals, np.ones(len(normals)))
+        assert found is not None and found[1] == expected[1]
+        assert np.degrees(found[0]) == pytest.approx(expected[0], abs=2)
+    assert footprint.wall_direction(roofs, np.ones(500)) is None
 
 
 def test_an_orbit_is_even_closes_and_looks_at_the_middle() -> None:

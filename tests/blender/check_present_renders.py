@@ -134,11 +134,16 @@ try:
     assert np.allclose(east[20], surface_scene.QUARTERS[1] / 255, atol=0.02), east[20]
     assert np.allclose(east[-20], surface_scene.QUARTERS[3] / 255, atol=0.02), east[-20]
 
-    # A quarter turn swaps the sides; a larger scale wants a larger paper; too large a one is an error in words.
+    # A quarter turn swaps the sides; a larger scale wants a larger paper; too large a one is an error in words. In a
+    # dark scene, too, sheets are drawn in the photos' light, and the surface takes the scene's again.
+    scene.curecon.surface_light, scene.world = "SCENE", None
     scene.curecon.present.facade_turn = np.pi / 2
     scene.curecon.present.sheet_scale = "50"
     assert bpy.ops.curecon.render_elevations() == {"FINISHED"}
     assert (OUT / "1_east_elevation.png").is_file()
+    for material in bpy.data.objects["Surface"].data.materials:
+        assert material.node_tree.nodes["Light"].inputs[0].default_value == 0
+    scene.curecon.surface_light = "PHOTO"
     paper, mm, picture = pages_of(OUT / "elevations.pdf")[4]
     assert np.allclose(paper, (420, 297), atol=0.01), paper  # 20 cm of drawing
     assert abs(extent(coloured(picture))[0] * mm / 1000 * 50 - 10) < 0.03
