@@ -31,7 +31,7 @@ class CURECON_OT_frame_ground(PickingOperator, bpy.types.Operator):
         height = site.ground(part.clouds[0], np.array(part.moved) @ before.matrix)
         after = alignment.with_ground(before, height / part.moved.median_scale, when=datetime.now())
         frame.adjust(context.scene, part, after)
-        return rpt_("The ground lay at Z = {:.2f} and is at Z = 0 now.").format(height)
+        return rpt_("The ground lay at Z = {:.2f} and is at Z = 0 now.").format(round(height, 2) + 0.0)  # no -0.00
 
 
 CLASSES = (CURECON_OT_frame_ground,)
