@@ -56,7 +56,7 @@ def set_up(scene: bpy.types.Scene, ground: tuple[float, float, float]) -> None:
 
 def ground_of(scene: bpy.types.Scene) -> tuple[float, float, float]:
     """The colour of the ground of what stands in a scene."""
-    found = next((child[GROUND_KEY] for child in scene.collection.children if GROUND_KEY in child), GREY)
+    found = next((child[GROUND_KEY] for child in scene.collection.children_recursive if GROUND_KEY in child), GREY)
     red, green, blue = found
     return red, green, blue
 
