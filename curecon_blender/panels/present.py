@@ -64,8 +64,7 @@ class CURECON_PT_present_sun(_Part, bpy.types.Panel):
             row.operator("curecon.remove_sun", text="", icon="X")
             layout.prop(present, "sky_only")
             if not present.sky_only:
-                paragraph(layout, context, "The photos hold the shadows of their day: the sun's fall beside them.",
-                          icon="INFO")
+                layout.label(text="Adds to the photos' shadows", icon="INFO")
 
 
 class CURECON_PT_present_moves(_Part, bpy.types.Panel):
@@ -93,9 +92,9 @@ class CURECON_PT_present_photos(_Part, bpy.types.Panel):
         shown = camera.name if cameras.is_photo_camera(camera) else iface_("No photo")
         row.label(text=shown, translate=False)
         row.operator("curecon.look_through", text="", icon="TRIA_RIGHT").which = "NEXT"
-        row = layout.row()
+        row = row.row()
         row.enabled = cameras.is_photo_camera(context.active_object)
-        row.operator("curecon.look_through", text="Selected Camera", icon="RESTRICT_SELECT_OFF").which = "SELECTED"
+        row.operator("curecon.look_through", text="", icon="RESTRICT_SELECT_OFF").which = "SELECTED"
         layout.prop(present, "photo_opacity", slider=True)
 
 

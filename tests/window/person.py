@@ -158,6 +158,11 @@ class Person:
             yield from self.click(*(yield from self.header(panel)))
             yield FOLDING
 
+    def fold(self, panel: str) -> Wait:
+        if panel in (yield from self.open_panels()):
+            yield from self.click(*(yield from self.header(panel)))
+            yield FOLDING
+
     def button(self, what: str) -> Iterator[float]:
         """Returns the place of the button of an operator (its idname) or of a property (the end of its path)."""
         region = self.region("UI")

@@ -260,6 +260,8 @@ def papers(person: Person) -> Wait:
     properties = bpy.context.scene.curecon.present
     properties.folder, properties.sheet_scale = str(folder), "500"
     progress = sys.modules[f"{MODULE}.curecon_blender.operators.rendering"].progress
+    for part in ("sun", "moves"):  # room for all buttons below
+        yield from person.fold(f"CURECON_PT_present_{part}")
     for button, last in (
         ("curecon.render_elevations", "elevations.pdf"), ("curecon.render_showreel", "contact_sheet.pdf"),
     ):
