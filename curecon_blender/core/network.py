@@ -57,7 +57,7 @@ class NetworkConfig:
     cosine: bool = True
     visibility: bool = True
     context: int = 4
-    refinement: int = 32
+    refinement: int = 48
     # Confidence without refinement: weights of the levels' logit shares, then the constant; fitted by
     # training/export.py.
     calibration: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 0.0)

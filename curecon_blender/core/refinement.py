@@ -14,6 +14,7 @@ Shapes as in network.py; a quarter is h, w = H/4, W/4.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import torch
 import torch.nn.functional as F
@@ -24,10 +25,10 @@ RADII = (2, 5, 12)  # of the windows, in pixels of a quarter
 SIDES = ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))  # where a window lies from its pixel, x and y
 ASIDE = 0.75  # of a window's width, from a pixel to the middle of a window at its side
 CANDIDATES = 1 + len(RADII) * len(SIDES)  # the pixel's own estimate first
-ALIKE = 2.0  # intervals from the likeliest candidate within which others are averaged with it
+ALIKE = 2.0  # intervals from a candidate within which others say the same
 _COORDINATE = 50.0  # pixels of a quarter to one unit of the fits' coordinates, so that sums stay near 1
 _RIDGE = 1e-4  # of a window's spread, in those units squared: a window with one sure pixel gives a level plane
-_SCALES = 4
+_WIDTHS = (1, 2, 2, 2)  # of the U-Net at each scale, times its channels
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ class Refined:
 
 
 class Refinement(nn.Module):
-    """`channels` of the U-Net, at all its scales."""
+    """`channels` of the U-Net at its finest scale."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -50,10 +51,12 @@ class Refinement(nn.Module):
         c = channels
         self.weigh = nn.Sequential(nn.Conv2d(seen, c, 1), nn.ReLU(), _conv(c), nn.Conv2d(c, 1, 1))
         self.enter = nn.Sequential(nn.Conv2d(seen + CANDIDATES, c, 1), nn.ReLU())
-        self.at = nn.ModuleList(nn.Sequential(_conv(c), _conv(c)) for _ in range(_SCALES))
-        self.down = nn.ModuleList(_conv(c, stride=2) for _ in range(_SCALES - 1))
-        self.up = nn.ModuleList(nn.ConvTranspose2d(c, c, 2, 2) for _ in range(_SCALES - 1))
-        self.merge = nn.ModuleList(_conv(c) for _ in range(_SCALES - 1))
+        widths = [width * c for width in _WIDTHS]
+        steps = list(pairwise(widths))
+        self.at = nn.ModuleList(nn.Sequential(_conv(w), _conv(w)) for w in widths)
+        self.down = nn.ModuleList(_conv(w, wider, stride=2) for w, wider in steps)
+        self.up = nn.ModuleList(nn.ConvTranspose2d(wider, w, 2, 2) for w, wider in steps[::-1])
+        self.merge = nn.ModuleList(_conv(w) for w in widths[-2::-1])
         self.leave = nn.Conv2d(c, (CANDIDATES + 2) * STEP**2, 1)
         with torch.no_grad():  # begins by keeping every pixel's own estimate
             self.leave.weight.zero_()
@@ -80,10 +83,21 @@ class Refinement(nn.Module):
             x = merge(up(x) + skips.pop())
         choice, offset, sure = F.pixel_shuffle(self.leave(x).float(), STEP).split([CANDIDATES, 1, 1], 1)
         probability = torch.softmax(choice, 1)
-        likeliest = candidates.gather(1, probability.argmax(1, keepdim=True))
+        likeliest = candidates.gather(1, _choice(candidates, probability, ALIKE * interval))
         alike = ((candidates - likeliest).abs() < ALIKE * interval) * probability
         mean = (alike * candidates).sum(1, keepdim=True) / alike.sum(1, keepdim=True)
         return Refined((mean + interval * torch.tanh(offset)).clamp(0, 1), sure, candidates, probability)
+
+
+def _choice(candidates: Tensor, probability: Tensor, reach: float) -> Tensor:
+    """Which candidate (B,1,H,W) has most of the probability (B,C,H,W) within reach of it: several that say nearly the
+    same outvote one. Counted where no candidate has half of it alone."""
+    best, choice = probability.max(1, keepdim=True)
+    torn = best[:, 0] < 0.5
+    c, p = (values.movedim(1, -1)[torn] for values in (candidates, probability))
+    votes = [(((c - c[:, i : i + 1]).abs() < reach) * p).sum(1) for i in range(CANDIDATES)]
+    choice[:, 0][torn] = torch.stack(votes).argmax(0)
+    return choice
 
 
 def plane_candidates(t: Tensor, weight: Tensor) -> list[Tensor]:
@@ -123,7 +137,7 @@ def _enlarged(quarter: Tensor) -> Tensor:
     return F.interpolate(quarter, scale_factor=float(STEP), mode="nearest")
 
 
-def _conv(channels: int, stride: int = 1) -> nn.Sequential:
+def _conv(inputs: int, outputs: int | None = None, stride: int = 1) -> nn.Sequential:
     # An even kernel keeps centres where they are, as in network.py.
     kernel = 4 if stride == 2 else 3
-    return nn.Sequential(nn.Conv2d(channels, channels, kernel, stride, 1), nn.ReLU())
+    return nn.Sequential(nn.Conv2d(inputs, outputs or inputs, kernel, stride, 1), nn.ReLU())
