@@ -274,18 +274,18 @@ def test_a_photo_that_changes_under_the_job_is_named_and_the_next_run_takes_it_a
     photos, workspace = tmp_path / "photos", tmp_path / "w"
     shutil.copytree(small_photos, photos)
     before("views", textured, workspace)
-    job = start(photos, workspace, "views")
-    at_work(job, "views")
-    victim = photos / SITE_PHOTOS[-1]
+    victim, smaller = photos / SITE_PHOTOS[-1], tmp_path / "smaller.png"
     content = victim.read_bytes()
+    with Image.open(victim) as photo:
+        photo.resize((300, 225)).save(smaller)
+    job = start(photos, workspace, "views")
+    at_work(job, "views")  # for a fraction of a second
     if fault == "deleted":
         victim.unlink()
     elif fault == "changed":
         os.utime(victim, (1, 1))
     else:
-        with Image.open(victim) as photo:
-            photo.resize((300, 225)).save(victim.with_suffix(".png"))
-        victim.with_suffix(".png").replace(victim)
+        smaller.replace(victim)
     failed(job, victim.name, "deleted" if fault == "deleted" else "changed")
     victim.write_bytes(content)
     run = finished_again_after_a_check(photos, workspace)
