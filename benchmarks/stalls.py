@@ -22,6 +22,7 @@ import tempfile
 import time
 import traceback
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import bpy
@@ -79,6 +80,11 @@ class Heart:
 
         setattr(holder, name, timed)
 
+    def listen_to_operator(self, operator: type[bpy.types.Operator]) -> None:
+        self.listen(operator, "execute", lambda: f"of {operator.bl_label}")
+        timed = operator.execute
+        operator.execute = lambda self, context: timed(self, context)  # Blender counts what a function takes
+
 
 def area() -> bpy.types.Area:
     return next(area for area in bpy.context.window_manager.windows[0].screen.areas if area.type == "VIEW_3D")
@@ -127,6 +133,24 @@ def slide_all(heart: Heart, shading: str) -> Wait:
         yield from slide(group, name, low, high)
 
 
+def press_all(heart: Heart) -> Wait:
+    """The buttons that read the whole site."""
+    ours, ends = bpy.ops.curecon, {"first": (0.0, 0.0, 0.0), "second": (10.0, 0.0, 0.0)}
+    for words, press in (
+        ("Frame All", ours.frame_cloud), ("Ground to Z = 0", ours.frame_ground), ("undo", bpy.ops.ed.undo),
+        ("Measure Distance", partial(ours.measure, **ends)),
+        ("Scale from Distance", partial(ours.frame_scale, **ends, length=11)), ("Reset Frame", ours.frame_reset),
+        ("Orbit", partial(ours.move_camera, kind="ORBIT")), ("Fly-Through", partial(ours.move_camera, kind="FLIGHT")),
+        ("Sun of the Photos", ours.set_sun), ("Remove Sun and Sky", ours.remove_sun),
+        ("Add Region Box", ours.add_region), ("Crop to Region", ours.cloud_crop),
+        ("Restore All Points", ours.cloud_restore),
+    ):
+        heart.begin(words)
+        with override():
+            press()
+        yield 2.0
+
+
 def story(heart: Heart, options: argparse.Namespace) -> Wait:
     properties = bpy.context.scene.curecon
     yield 3.0
@@ -170,12 +194,7 @@ def story(heart: Heart, options: argparse.Namespace) -> Wait:
     heart.begin("drawing the cloud")
     yield from draw()
     yield from slide_all(heart, "Solid")
-    for words, operator in (("Ground to Z = 0", bpy.ops.curecon.frame_ground), ("undo", bpy.ops.ed.undo),
-                            ("Frame All", bpy.ops.curecon.frame_cloud)):
-        heart.begin(words)
-        with override():
-            operator()
-        yield 3.0
+    yield from press_all(heart)
     properties = bpy.context.scene.curecon
     heart.begin("Solid: colour by height")
     properties.cloud.colour_by = "HEIGHT"
@@ -207,15 +226,18 @@ def main() -> None:
     parser.add_argument("--photos", type=Path)
     parser.add_argument("--preview", action="store_true")
     options = parser.parse_args(sys.argv[sys.argv.index("--") + 1:])
-    from curecon_blender.operators import frame_ground, running
-    from curecon_blender.scene import display, history, points, viewport
+    from curecon_blender import operators
+    from curecon_blender.operators import running
+    from curecon_blender.scene import display, history, viewport
 
     heart = Heart()  # listens before Blender is given the functions
     heart.listen(running.StepsOperator, "_go_on", lambda: running.status.task)
     for holder, name in ((viewport._Upload, "go_on"), (viewport, "_let_nodes_show"), (display, "apply"),
-                         (display, "measure_range"), (history, "_follow"), (points, "subject"),
-                         (frame_ground.CURECON_OT_frame_ground, "apply")):
+                         (display, "measure_range"), (history, "_follow")):
         heart.listen(holder, name)
+    for operator in operators.CLASSES:
+        if hasattr(operator, "execute"):
+            heart.listen_to_operator(operator)
     curecon_blender.register()
     bpy.context.preferences.view.show_splash = False
     addon = bpy.context.preferences.addons.new()  # what enabling it would do, so that it has preferences

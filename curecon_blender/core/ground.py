@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
+LEVEL = 0.9  # z of a unit normal is above it where something lies level
 LEVELS = 64  # between the lowest and the highest of a site
 WIDE = 0.4  # times as many points as on the widest level: the ground has them
 STRAYS = 0.5, 99.5  # percentiles of all heights between which the levels lie

@@ -10,6 +10,7 @@ from collections.abc import Callable
 import bpy
 import numpy as np
 
+from ..core.ground import LEVEL, STRAYS, lowest_wide_level
 from . import presentation
 from .points import CloudArrays
 
@@ -19,7 +20,7 @@ GROUND_KEY = "curecon_ground"  # on a workspace's collection: the linear colour 
 HAZE, ZENITH = (0.62, 0.72, 0.80), (0.22, 0.38, 0.66)  # linear, of the sky at the horizon and overhead
 HIGH = 0.6  # z of a unit vector where the sky is as overhead
 HAZY = -0.3  # and where the ground begins to fade into the haze
-LEVEL, LOW = 0.9, 40  # ground: z of a unit normal is above it, and the height below this percentile of such points
+NEAR = 0.05  # of all heights: what is level and no farther from the ground's tells its colour
 LIT = 55  # percentile of its colours: some of it lies in shade
 DULL = 0.5  # how much of its saturation the ground loses, not to outshine the site
 DARKEST = 0.16  # linear luminance of the ground, at least
@@ -32,15 +33,18 @@ AddSky = Callable[[bpy.types.NodeTree, bpy.types.NodeSocket], bpy.types.NodeSock
 
 
 def ground_colour(cloud: CloudArrays) -> tuple[float, float, float]:
-    """The typical linear colour of a cloud's low, level points in the light. No bpy: it may run on any thread."""
-    level = cloud.normals[:, 2] > LEVEL
+    """The typical linear colour of what lies level in the light at the height of a cloud's ground. No bpy: it may run
+    on any thread."""
+    level, heights = cloud.normals[:, 2] > LEVEL, cloud.points[:, 2]
     if not level.any():
         return GREY
-    heights = cloud.points[level, 2]
-    low = heights <= np.percentile(heights, LOW)
-    colour = np.percentile(cloud.colours[level][low, :3], LIT, axis=0)
+    reach = NEAR * np.ptp(np.percentile(heights, STRAYS))
+    at_ground = level & (np.abs(heights - lowest_wide_level(heights, heights[level])) <= reach)
+    colour = np.percentile(cloud.colours[at_ground, :3], LIT, axis=0)
     luminance = max(float(colour @ LUMINANCE), 1e-3)
-    red, green, blue = ((colour + DULL * (luminance - colour)) * max(1.0, DARKEST / luminance)).tolist()
+    # No open ground is blue: this one was seen in shade, where only the sky lights it.
+    dull = DULL if colour[0] >= colour[2] else 1.0
+    red, green, blue = ((colour + dull * (luminance - colour)) * max(1.0, DARKEST / luminance)).tolist()
     return red, green, blue
 
 

@@ -100,20 +100,20 @@ def measure_range(scene: bpy.types.Scene, clouds: list[bpy.types.Object]) -> tup
     return float(low), float(max(high, low + 1e-3))
 
 
-def shown(scene: bpy.types.Scene, item: bpy.types.Object) -> np.ndarray | None:
-    """Indices of the cloud's points that the viewport shows; None for all of them."""
+def shown(scene: bpy.types.Scene, item: bpy.types.Object, places: np.ndarray) -> np.ndarray:
+    """Which of a cloud's points (N,) bool the viewport shows; `places` (N,3) are theirs in its own frame."""
     display, data = of(scene), item.data
-    count = round(len(data.points) * display.share)
-    kept = np.ones(count, bool)
+    kept = np.ones(len(places), bool)
+    kept[round(len(places) * display.share) :] = False
     if display.min_confidence > 0:
-        kept &= _values(data, "confidence", np.float32)[:count] >= display.min_confidence
+        kept &= _values(data, "confidence", np.float32) >= display.min_confidence
     if display.min_views > 0:
-        kept &= _values(data, "views", np.int32)[:count] >= display.min_views
+        kept &= _values(data, "views", np.int32) >= display.min_views
     if REMOVED in data.attributes:
-        kept &= ~_values(data, REMOVED, bool)[:count]
+        kept &= ~_values(data, REMOVED, bool)
     if display.region_from_world is not None:
-        kept &= inside(positions(data)[:count], display.region_from_world @ item.matrix_world)
-    return None if count == len(data.points) and kept.all() else np.flatnonzero(kept)
+        kept &= inside(places, display.region_from_world @ item.matrix_world)
+    return kept
 
 
 def key(scene: bpy.types.Scene, item: bpy.types.Object) -> tuple[object, ...]:
@@ -220,7 +220,10 @@ def _build_nodes() -> bpy.types.NodeTree:
     outside = either(compare(place[0], low[0]), compare(high[0], place[0]))
     for axis in (1, 2):
         outside = either(outside, either(compare(place[axis], low[axis]), compare(high[axis], place[axis])))
-    dropped = either(dropped, either(outside, given.outputs["Only Region"], "AND"))
+    # A switch, since what it does not need is not worked out for each point.
+    outside = node("GeometryNodeSwitch", {"Switch": given.outputs["Only Region"], "False": False, "True": outside},
+                   input_type="BOOLEAN").outputs[0]
+    dropped = either(dropped, outside)
 
     kept = node("GeometryNodeDeleteGeometry", {"Geometry": given.outputs["Geometry"], "Selection": dropped})
     radius = node("ShaderNodeMath", {0: attribute("radius", "FLOAT"), 1: given.outputs["Point Size"]},

@@ -20,7 +20,7 @@ from ..core import alignment
 from ..core.alignment import Adjustment
 from ..core.reading import build, parse_json
 from ..core.types import Component, Frame
-from . import surface
+from . import points, surface
 
 FRAME_KEY = "curecon_frame"  # on a part: its Frame as it was reconstructed, as JSON
 FOLDER_KEY = "curecon_sparse"  # on a part: the folder of its frame.json
@@ -121,13 +121,10 @@ def part_at(scene: bpy.types.Scene, place: np.ndarray) -> Part:
     def distance(part: Part) -> float:
         nearest = np.inf
         for item in part.collection.all_objects:
-            if item.type in {"MESH", "POINTCLOUD"} and (attribute := item.data.attributes.get("position")) is not None:
-                positions = np.empty((len(attribute.data), 3), np.float32)
-                attribute.data.foreach_get("vector", positions.ravel())
+            if item.type in {"MESH", "POINTCLOUD"} and len(places := points.positions(item.data)):
                 local = np.array(world_matrix(item).inverted() @ Vector(place.tolist()), np.float32)
-                if len(positions):
-                    gap = float(np.sqrt(((positions - local) ** 2).sum(axis=1).min()))
-                    nearest = min(nearest, gap * world_matrix(item).median_scale)
+                gap = float(np.sqrt(((places - local) ** 2).sum(axis=1).min()))
+                nearest = min(nearest, gap * world_matrix(item).median_scale)
         return nearest
 
     return min(found, key=distance)

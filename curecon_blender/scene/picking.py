@@ -106,8 +106,8 @@ def _places(context: bpy.types.Context, item: bpy.types.Object) -> np.ndarray:
     key, known = display.key(context.scene, item), _shown.get(item.data.session_uid)
     if known is not None and known.key == key:
         return known.places
-    places, indices = points.positions(item.data), display.shown(context.scene, item)
-    if indices is not None:
-        places = places[indices]
+    places = points.positions(item.data)
+    if not (kept := display.shown(context.scene, item, places)).all():
+        places = places[kept]
     _shown[item.data.session_uid] = _Shown(key, places)
     return places

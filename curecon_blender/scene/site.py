@@ -13,12 +13,11 @@ from mathutils import Vector
 from ..core import footprint
 from ..core.alignment import FrameError
 from ..core.errors import SurfaceError
-from ..core.ground import lowest_wide_level
-from . import points
+from ..core.ground import LEVEL, lowest_wide_level
+from . import points, surface
 from .surface import is_surface, surfaces_of
 from .workspace import clouds_of
 
-LEVEL = 0.9  # z of a unit normal is above it where the ground is
 GROUND_SAMPLE = 25_000  # points that suffice to tell where the ground is, in a step that nobody notices
 
 
@@ -109,12 +108,11 @@ def ground(cloud: bpy.types.Object, world_from_cloud: np.ndarray) -> float:
     """Height in the world of the lowest level that spreads wide in a cloud, which stands there by a similarity (4,4).
     Raises FrameError when none does."""
     data, (slope, high) = cloud.data, (world_from_cloud[2, :3], world_from_cloud[2, 3])
-    normals = _normals(data)
-    step = max(1, len(normals) // GROUND_SAMPLE)
+    step = max(1, len(data.points) // GROUND_SAMPLE)
     places = points.positions(data)[::step]
     subject = points.about_the_subject(places)
     heights = places[subject] @ slope + high
-    up = normals[::step][subject] @ (slope / np.linalg.norm(slope))
+    up = points.vectors(data, "normal")[::step][subject] @ (slope / np.linalg.norm(slope))
     level = heights[up > LEVEL]
     if not len(level):
         raise FrameError(
@@ -137,12 +135,9 @@ def _box_of_region(region: bpy.types.Object, turned_by: float) -> Box:
 def _direction_of(item: bpy.types.Object) -> tuple[float, bool]:
     """Of the walls of a surface or a cloud, and whether they are round; without any, of the rectangle about it."""
     if is_surface(item):
-        count = len(item.data.polygons)
-        normals, areas = np.empty((count, 3), np.float32), np.empty(count, np.float32)
-        item.data.polygons.foreach_get("normal", normals.ravel())
-        item.data.polygons.foreach_get("area", areas)
+        normals, areas = surface.facing(item.data)
     else:
-        normals = _normals(item.data)
+        normals = points.vectors(item.data, "normal")
         normals = normals[:: max(1, len(normals) // points.SUBJECT_SAMPLE)]
         areas = np.ones(len(normals), np.float32)
     walls = footprint.wall_direction(normals @ np.array(item.matrix_world.to_3x3().normalized()).T, areas)
@@ -151,9 +146,3 @@ def _direction_of(item: bpy.types.Object) -> tuple[float, bool]:
     places = points.positions(item.data)
     sample = places[:: max(1, len(places) // points.SUBJECT_SAMPLE)] @ np.array(item.matrix_world.to_3x3()).T
     return footprint.rectangle_direction(sample[:, :2]), False
-
-
-def _normals(data: bpy.types.PointCloud) -> np.ndarray:
-    normals = np.empty((len(data.points), 3), np.float32)
-    data.attributes["normal"].data.foreach_get("vector", normals.ravel())
-    return normals

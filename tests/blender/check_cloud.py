@@ -43,8 +43,7 @@ def shown() -> np.ndarray:
     item = cloud()
     bpy.context.view_layer.update()
     places = positions(item.data)
-    indices = display.shown(scene(), item)
-    drawn = places if indices is None else places[indices]
+    drawn = places[display.shown(scene(), item, places)]
     evaluated = item.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
     np.testing.assert_array_equal(rows(positions(evaluated)), rows(drawn))
     if len(drawn):  # deleting points loses materials, were it left at that

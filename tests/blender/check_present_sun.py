@@ -17,6 +17,7 @@ from mathutils import Vector
 
 import curecon_blender
 from curecon_blender.core import sun
+from curecon_blender.scene import backdrop, points
 
 FOLDER = Path(sys.argv[1]) / "work"
 LATITUDE, LONGITUDE = 24.5, 117.25  # of the little workspace
@@ -38,6 +39,23 @@ def lamp_direction() -> np.ndarray:
 def ours() -> tuple[int, int, int]:
     return len(bpy.data.lights), len(bpy.data.worlds), len(bpy.data.objects)
 
+
+def colour_of_ground(*, blue: bool) -> tuple[float, float, float]:
+    """What a wide earthen courtyard, of `blue` shade or in the sun, gives that is half roofed with slates."""
+    x, y = (values.ravel().astype(np.float32) for values in np.meshgrid(np.linspace(0, 20, 60), np.linspace(0, 20, 60)))
+    roofed = x < 10
+    places = np.column_stack([x, y, 8.0 * roofed]).astype(np.float32)
+    colours = np.where(roofed[:, None], (0.2, 0.25, 0.4, 1), (0.1, 0.13, 0.2, 1) if blue else (0.4, 0.3, 0.2, 1))
+    up = np.tile(np.float32((0, 0, 1)), (len(places), 1))
+    return backdrop.ground_colour(points.CloudArrays(
+        points=places, radius=np.ones(len(x), np.float32), colours=colours.astype(np.float32),
+        confidence=np.ones(len(x), np.float32), views=np.ones(len(x), np.int32), normals=up,
+    ))
+
+
+red, green, blue = colour_of_ground(blue=False)
+assert red > green > blue > 0.2, "the ground's own colour, not the roof's"
+assert np.ptp(colour_of_ground(blue=True)) < 1e-6, "shade's blue is the sky's"
 
 curecon_blender.register()
 try:

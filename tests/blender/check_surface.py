@@ -16,7 +16,7 @@ from surface_scene import FILLED, QUARTERS
 
 import curecon_blender
 from curecon_blender.core.mesh import write_mesh
-from curecon_blender.scene.surface import TINT, surfaces_of
+from curecon_blender.scene.surface import TINT, facing, surfaces_of
 from curecon_blender.scene.workspace import clouds_of
 
 FOLDER = Path(sys.argv[1])
@@ -68,6 +68,26 @@ def check_colours(*, filled_tinted: bool) -> None:
     to_photo = np.abs(seen[FILLED] - QUARTERS[FILLED]).max()
     to_tint = np.abs(seen[FILLED] - TINT_BYTES).max()
     assert (to_tint < to_photo and to_photo > 60) if filled_tinted else to_photo < 3, (seen, to_tint, to_photo)
+
+
+def check_facing(item: bpy.types.Object) -> None:
+    """Which way faces look is the same where the user has made larger ones of some."""
+    import bmesh  # which bpy brings
+
+    data = item.data.copy()
+    total = []
+    for _ in range(2):
+        normals, areas = facing(data)
+        assert np.allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-5)
+        total.append((normals * areas[:, None]).sum(axis=0))
+        work = bmesh.new()
+        work.from_mesh(data)
+        bmesh.ops.dissolve_limit(work, angle_limit=0.01, verts=work.verts, edges=work.edges)
+        work.to_mesh(data)
+        work.free()
+    assert len(data.loops) > 3 * len(data.polygons)
+    np.testing.assert_allclose(total, [(0, 0, 100)] * 2, atol=1e-2)  # of a tent over 10 x 10 m
+    bpy.data.meshes.remove(data)
 
 
 def check_both_ways() -> None:
@@ -126,6 +146,7 @@ try:
     surface_scene.write(folder, textured=False)
     surface = import_folder(folder)
     check_geometry(surface.data, pages=0)
+    check_facing(surface)
     assert not surface.data.uv_layers and not surface.data.materials[0].node_tree.nodes.get("Image Texture")
     result = scene.curecon.result
     assert (result.faces, result.textured, round(result.filled)) == (800, False, 25)
