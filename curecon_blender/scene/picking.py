@@ -20,7 +20,6 @@ from .surface import surfaces_of
 from .workspace import clouds_of
 
 SNAP_PIXELS = 10.0  # at interface scale 1
-PIECE = 1 << 14  # points
 FRONT = 4.0  # snap radii, in the scene, behind the foremost point: what is farther back is hidden by it
 
 
@@ -85,8 +84,8 @@ def _cloud_hit(
     # (w < 0) passes.
     matrix = np.stack([clip[0] - np.float32(aside) * clip[3], clip[1] - np.float32(above) * clip[3], clip[3]])
     found = []
-    for start in range(0, len(places), PIECE):
-        x, y, w = matrix[:, :3] @ places[start : start + PIECE].T + matrix[:, 3:]
+    for start in range(0, len(places), display.PIECE):
+        x, y, w = matrix[:, :3] @ places[start : start + display.PIECE].T + matrix[:, 3:]
         near = np.flatnonzero((np.abs(x) < reach_x * w) & (np.abs(y) < reach_y * w))
         found.append(np.stack([near + start, x[near] / w[near], y[near] / w[near], w[near]]).astype(np.float64))
     which, x, y, w = np.concatenate(found, axis=1) if found else np.zeros((4, 0))
