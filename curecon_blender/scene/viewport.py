@@ -29,6 +29,7 @@ MIN_POINT_PIXELS = 2.0
 MOVING_POINTS = 3_000_000  # drawn of all clouds together while the view moves; the rest follows when it rests
 REST_SECONDS = 0.25
 BOX_EDGES = (0, 1, 1, 2, 2, 3, 3, 0, 4, 5, 5, 6, 6, 7, 7, 4, 0, 4, 1, 5, 2, 6, 3, 7)  # corners of Blender's bound_box
+EDGE_PARTS = 32  # in each of which a background's gradient is even enough
 PAINT_PIXELS = 5.0  # a smooth wire of Blender's and a little more
 NEARER = 1e-5  # of the depth: to be before what lies at the same place
 PIECE = 1 << 18  # points that are uploaded at once
@@ -202,8 +203,8 @@ def _draw() -> None:
         item for item in context.view_layer.objects
         if item.type == "POINTCLOUD" and CLOUD_KEY in item.data and item.visible_get(viewport=space)
     ]
-    if space.overlay.show_overlays:
-        _paint_over_bounds(context, [item for item in clouds if not item.select_get()])
+    if space.overlay.show_overlays and (unselected := [item for item in clouds if not item.select_get()]):
+        _paint_over_bounds(context, unselected)
     if space.shading.type not in {"SOLID", "WIREFRAME"}:
         if not bpy.app.timers.is_registered(_let_nodes_show):
             bpy.app.timers.register(_let_nodes_show, first_interval=0.0)  # nothing may be written while drawing
@@ -237,36 +238,46 @@ def _draw() -> None:
 
 
 def _paint_over_bounds(context: bpy.types.Context, items: list[bpy.types.Object]) -> None:
-    """Paint the boxes about objects shown as bounds in the background's colour, where it is one and nothing stands
-    before them: black wires about the farthest points say nothing of a site."""
-    corners = [tuple(item.matrix_world @ Vector(item.bound_box[corner])) for item in items for corner in BOX_EDGES]
-    colour = _background(context)
-    if not corners or colour is None:
+    """Paint the boxes about objects shown as bounds in the background's colours, where it has its own and nothing
+    stands before them: black wires about the farthest points say nothing of a site."""
+    corners = np.array([item.matrix_world @ Vector(corner) for item in items for corner in item.bound_box])
+    starts, ends = corners.reshape(-1, 8, 3)[:, BOX_EDGES].reshape(-1, 2, 3).swapaxes(0, 1)
+    along = np.linspace(0, 1, EDGE_PARTS + 1)[:, None, None]
+    nodes = starts + along * (ends - starts)
+    places = np.stack([nodes[:-1], nodes[1:]], axis=2).reshape(-1, 3).astype(np.float32)
+    if (colours := _background(context, places)) is None:
         return
-    shader = gpu.shader.from_builtin("POLYLINE_UNIFORM_COLOR")
+    shader = gpu.shader.from_builtin("POLYLINE_SMOOTH_COLOR")
     shader.uniform_float("viewportSize", (context.region.width, context.region.height))
     shader.uniform_float("lineWidth", PAINT_PIXELS * context.preferences.system.pixel_size)
-    shader.uniform_float("color", colour)
     nearer = context.region_data.window_matrix.copy()
     nearer[2] -= nearer[3] * NEARER
     with gpu.matrix.push_pop_projection():
         gpu.matrix.load_projection_matrix(nearer)
         gpu.state.blend_set("NONE")
         gpu.state.depth_test_set("LESS_EQUAL")
-        batch_for_shader(shader, "LINES", {"pos": corners}).draw(shader)
+        batch_for_shader(shader, "LINES", {"pos": places, "color": colours}).draw(shader)
         gpu.state.depth_test_set("NONE")
 
 
-def _background(context: bpy.types.Context) -> tuple[float, float, float, float] | None:
-    """What stands behind everything in a viewport: a colour, nothing over a rendered world, None for anything else."""
+def _background(context: bpy.types.Context, places: np.ndarray) -> np.ndarray | None:
+    """What stands behind places (N,3) of a viewport: the theme's colours (N,4), nothing (0) over a rendered world; None
+    for anything else."""
     shading = context.space_data.shading
+    colours = np.zeros((len(places), 4), np.float32)
     if shading.type == "RENDERED" or (
             shading.type == "MATERIAL" and (shading.use_scene_world or shading.studiolight_background_alpha > 0)):
-        return 0.0, 0.0, 0.0, 0.0
-    theme = context.preferences.themes[0].view_3d.space.gradients
-    if theme.background_type != "SINGLE_COLOR" or (shading.type != "MATERIAL" and shading.background_type != "THEME"):
+        return colours
+    if shading.type != "MATERIAL" and shading.background_type != "THEME":
         return None
-    return (*theme.high_gradient, 1.0)
+    theme = context.preferences.themes[0].view_3d.space.gradients
+    high, low = np.array(theme.high_gradient), np.array(theme.gradient)
+    clip = np.column_stack([places, np.ones(len(places))]) @ np.array(context.region_data.perspective_matrix).T
+    seen = np.clip(clip[:, :2] / np.maximum(clip[:, 3:], 1e-6), -1, 1)  # from the view's middle to its edges
+    share = {"SINGLE_COLOR": np.ones(len(places)), "LINEAR": (seen[:, 1] + 1) / 2,
+             "RADIAL": 1 - np.linalg.norm(seen, axis=1) / np.sqrt(2)}[theme.background_type]
+    colours[:, :3], colours[:, 3] = low + share[:, None] * (high - low), 1.0
+    return colours
 
 
 def _block(
