@@ -314,7 +314,7 @@ def test_photos_moved_elsewhere_and_clocks_put_wrong_find_everything_done(
     assert curecon(*arguments(photos, workspace, "texture")).said.count("already done") == 7
 
 
-def test_photos_that_were_added_join_the_others_whose_features_stay(small_photos: Path, tmp_path: Path) -> None:
+def test_photos_added_or_taken_away_leave_the_features_of_the_others(small_photos: Path, tmp_path: Path) -> None:
     photos, workspace = tmp_path / "photos", tmp_path / "w"
     shutil.copytree(small_photos, photos)
     (photos / SITE_PHOTOS[-1]).unlink()
@@ -333,6 +333,11 @@ def test_photos_that_were_added_join_the_others_whose_features_stay(small_photos
     run = curecon(*arguments(photos, workspace, "views"))
     assert run.code == 0 and run.summary["registered"] == len(SITE_PHOTOS), run.said
     assert before < features()
+    (photos / SITE_PHOTOS[-1]).unlink()
+    run = curecon(*arguments(photos, workspace, "views"))
+    assert run.code == 0 and run.summary["registered"] == len(SITE_PHOTOS) - 1, run.said
+    assert {view.name for view in read(workspace)[0].views} == set(SITE_PHOTOS[:-1])
+    assert before <= features()
 
 
 def test_a_result_that_somebody_deleted_is_made_again(
