@@ -14,6 +14,7 @@ from . import flight, site, stage
 from .lettering import letters
 
 FROM_ABOVE = 2.0  # times the box's radius: the height of the still that looks down steeply
+STEEPEST = 22.0  # degrees that the other four look down, or no sky would be seen behind what is slim
 CONTACT_PIXELS_PER_MM = 8
 
 
@@ -28,8 +29,10 @@ def shots(scene: bpy.types.Scene, staged: bpy.types.Scene, folder: Path) -> list
     for number in range(1, 6):
         azimuth = (degrees(present.start_angle) + 90 * (number - 1)) % 360
         side = f"From the {sheet.compass(azimuth).lower()}" if has_north else f"View {number}"
-        name, high = (side, height) if number < 5 else ("From above", FROM_ABOVE * about.radius)
-        camera = stage.add_still(staged, name, about, azimuth, high)
+        name, high, steepest = (
+            (side, height, STEEPEST) if number < 5 else ("From above", FROM_ABOVE * about.radius, 90.0)
+        )
+        camera = stage.add_still(staged, name, about, azimuth, high, steepest)
         made.append(stage.Shot(name=name, file=folder / f"still_{number}.png", camera=camera, size=size))
     if flight.is_move(scene.camera):
         film, frames = scene.camera.name, flight.frames_of(scene.camera)

@@ -123,10 +123,12 @@ def set_up(stage: bpy.types.Scene, shot: Shot) -> None:
         settings.color_depth = "8"
 
 
-def add_still(stage: bpy.types.Scene, name: str, about: site.Box, azimuth: float, height: float) -> str:
+def add_still(
+    stage: bpy.types.Scene, name: str, about: site.Box, azimuth: float, height: float, steepest: float
+) -> str:
     """A camera of the stage alone that sees all of the box; returns the object's name. See flight.look_from."""
     camera = _own_camera(stage, flight.new_lens(name, about))
-    place, rotation = flight.look_from(about, azimuth, height)
+    place, rotation = flight.look_from(about, azimuth, height, steepest)
     camera.rotation_mode = "QUATERNION"
     camera.location, camera.rotation_quaternion = place, rotation
     return camera.name

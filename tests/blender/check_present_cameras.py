@@ -16,7 +16,7 @@ from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
 import curecon_blender
-from curecon_blender.scene import cameras
+from curecon_blender.scene import cameras, flight, site
 from curecon_blender.scene.points import about_the_subject
 
 FOLDER = Path(sys.argv[1]) / "work"
@@ -42,6 +42,16 @@ def litter() -> tuple[int, ...]:
     return tuple(len(getattr(bpy.data, kind)) for kind in ("objects", "cameras", "actions", "collections", "curves"))
 
 
+def check_slim() -> None:
+    """A still of something slim shows the sky behind it: it is taken from lower than was asked for."""
+    tower = site.Box(centre=np.array([0.0, 0, 20]), half=np.array([2.0, 2, 20]), turn=0.0)
+    for steepest, down in ((22.0, (15, 25)), (90.0, (40, 90))):
+        place, _ = flight.look_from(tower, 30.0, 80.0, steepest)
+        looks = np.degrees(np.arctan2(place[2] - 20, np.hypot(*place[:2])))
+        assert down[0] < looks < down[1], looks
+
+
+check_slim()
 curecon_blender.register()
 try:
     bpy.ops.wm.read_homefile(use_empty=True)
