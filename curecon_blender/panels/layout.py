@@ -16,6 +16,8 @@ from ..job import Status, duration
 from ..operators import running
 from ..operators.running import STAGE_NAMES
 
+QUALITYS_OWN = "0 takes the quality's own:"
+
 
 class Panel:
     """A part of the tab."""

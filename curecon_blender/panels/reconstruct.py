@@ -12,7 +12,7 @@ from .. import ADDON
 from ..core.options import QUALITIES
 from ..job import duration
 from ..operators import presets, running
-from .layout import AdvancedPanel, Panel, action, draw_outcome, draw_progress, gibibytes, paragraph
+from .layout import QUALITYS_OWN, AdvancedPanel, Panel, action, draw_outcome, draw_progress, gibibytes, paragraph
 
 
 class CURECON_PT_presets(PresetPanel, bpy.types.Panel):
@@ -95,8 +95,10 @@ class CURECON_PT_advanced(AdvancedPanel, bpy.types.Panel):
 
     def draw_settings(self, context: bpy.types.Context, properties: bpy.types.PropertyGroup) -> None:
         layout = self.layout
-        layout.prop(properties, "max_image_size")
-        layout.prop(properties, "views")
+        column = layout.column(align=True)
+        column.label(text=QUALITYS_OWN)
+        column.prop(properties, "max_image_size")
+        column.prop(properties, "views")
         layout.prop(properties, "workspace", placeholder="Beside the photos")
         layout.prop(properties, "model", placeholder="Find the cameras")
         column = layout.column(align=True)

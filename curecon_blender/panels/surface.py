@@ -9,7 +9,7 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from ..operators import running
 from ..scene.surface import surfaces_of
-from .layout import AdvancedPanel, Panel, counted, draw_outcome, draw_progress, paragraph
+from .layout import QUALITYS_OWN, AdvancedPanel, Panel, counted, draw_outcome, draw_progress, paragraph
 
 
 class CURECON_PT_surface(Panel, bpy.types.Panel):
@@ -75,7 +75,9 @@ class CURECON_PT_surface_advanced(AdvancedPanel, bpy.types.Panel):
     def draw_settings(self, context: bpy.types.Context, properties: bpy.types.PropertyGroup) -> None:
         layout = self.layout
         layout.prop(properties, "fill_holes")
-        layout.prop(properties, "max_faces")
+        column = layout.column(align=True)
+        column.label(text=QUALITYS_OWN)
+        column.prop(properties, "max_faces")
         row = layout.row(heading="Region")
         row.prop(properties, "use_region", text="")
         sub = row.row()
