@@ -18,7 +18,7 @@ LEVEL_WEIGHT = {2: 0.5, 1: 1.0, 0: 2.0}
 INTERVALS = 128  # of the sweep, as BlendedMVS counts its errors
 NEAR = 40.0  # intervals of the finest level beyond which an error counts for little more
 FAR_WEIGHT = 0.05  # of each further interval
-PLANES_WEIGHT = 0.1
+PLANES_WEIGHT = 0.1  # of how near the nearest of the planes across the picture is
 RISK_WEIGHT = 1.0  # of the error, in intervals of the sweep, to be expected from the candidates and their probabilities
 
 
