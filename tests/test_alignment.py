@@ -144,6 +144,16 @@ def test_the_uncertainty_follows_the_points_spacing_scatter_and_scale() -> None:
     assert measuring.surroundings(wall[:3], first) is None
 
 
+@pytest.mark.parametrize("place", [(0.1, 0.2, 0.3), (9.0, -9.0, 30.0)])
+def test_what_lies_about_a_pick_is_of_the_nearest_of_all_points(place: tuple[float, float, float]) -> None:
+    cloud = np.random.default_rng(4).normal(size=(4 * measuring.SAMPLE, 3)).astype(np.float32)
+    distances = np.sort(np.linalg.norm(cloud - np.array(place), axis=1))[: measuring.NEAREST]
+    found = measuring.surroundings(cloud, np.array(place))
+    assert found.gap == pytest.approx(distances[0], rel=1e-4)
+    area = np.pi * (distances[-1] ** 2 - distances[0] ** 2)
+    assert found.spacing == pytest.approx(np.sqrt(area / measuring.NEAREST), rel=1e-3)
+
+
 @pytest.mark.parametrize(("length", "off", "metres", "words"), [
     (12.3412, 0.031, True, "12.34 m ± 0.03 m"), (12.3412, 0.0042, True, "12.341 m ± 0.004 m"),
     (12.3412, 0.31, True, "12.34 m ± 0.31 m"), (123.4, 3.4, True, "123 m ± 3 m"),

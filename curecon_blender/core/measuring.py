@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 NEAREST = 32  # measured points that tell spacing and scatter
+SAMPLE = 50_000  # points that tell where the nearest may lie
 SHOWN = 2.0  # standard deviations
 
 
@@ -41,6 +42,7 @@ def surroundings(points: np.ndarray, place: np.ndarray) -> Surroundings | None:
     """What the NEAREST of `points` (N,3) say about `place` (3,), in the points' unit; None for fewer than 4 points."""
     if len(points) < 4:
         return None
+    points = _about(points, place)
     squared = np.square(points[:, 0] - np.float32(place[0]))
     squared += np.square(points[:, 1] - np.float32(place[1]))
     squared += np.square(points[:, 2] - np.float32(place[2]))
@@ -56,6 +58,15 @@ def surroundings(points: np.ndarray, place: np.ndarray) -> Surroundings | None:
         spacing=float(np.sqrt(area / count)), scatter=float(np.sqrt(max(values[0], 0.0))), normal=vectors[:, 0],
         gap=gap,
     )
+
+
+def _about(points: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Those of points (N,3), in a cube about a place (3,), among which its nearest are: a sample's are no nearer."""
+    sample = np.linalg.norm(points[:: max(1, len(points) // SAMPLE)] - place, axis=1)
+    reach = np.sort(sample)[:NEAREST].max(initial=0)
+    for axis in range(3):
+        points = points[np.flatnonzero(np.abs(points[:, axis] - np.float32(place[axis])) <= reach)]
+    return points
 
 
 def spread(first: np.ndarray, second: np.ndarray, around: tuple[Surroundings | None, Surroundings | None]) -> float:

@@ -12,8 +12,6 @@ from ..core import measuring
 from . import points
 from .frame import Part, part_at, part_in, world_matrix
 
-SAMPLE = 50_000  # points that tell where the nearest may lie
-
 
 def spread(part: Part, first: np.ndarray, second: np.ndarray) -> float:
     """Standard deviation (world units) that both picks (3,), in the world, give to their distance; from the part's
@@ -24,18 +22,8 @@ def spread(part: Part, first: np.ndarray, second: np.ndarray) -> float:
     item = items[0]
     places, back = points.positions(item.data), world_matrix(item).inverted()
     ends = [np.array(back @ Vector(end.tolist())) for end in (first, second)]
-    around = (measuring.surroundings(_about(places, ends[0]), ends[0]),
-              measuring.surroundings(_about(places, ends[1]), ends[1]))
+    around = measuring.surroundings(places, ends[0]), measuring.surroundings(places, ends[1])
     return measuring.spread(ends[0], ends[1], around) * world_matrix(item).median_scale
-
-
-def _about(places: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Those of places (N,3), in a cube about `end` (3,), among which its nearest are: a sample's are no nearer."""
-    sample = np.linalg.norm(places[:: max(1, len(places) // SAMPLE)] - end, axis=1)
-    reach = np.sort(sample)[: measuring.NEAREST].max(initial=0)
-    for axis in range(3):
-        places = places[np.flatnonzero(np.abs(places[:, axis] - np.float32(end[axis])) <= reach)]
-    return places
 
 
 def add(scene: bpy.types.Scene, first: np.ndarray, second: np.ndarray) -> bpy.types.PropertyGroup:

@@ -18,7 +18,6 @@ from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
 import curecon_blender
-from curecon_blender.core import measuring
 from curecon_blender.core.ply import Cloud, CloudWriter
 from curecon_blender.scene import measurements
 from curecon_blender.scene.frame import world_matrix
@@ -150,20 +149,6 @@ def check_ground() -> None:
     assert bpy.data.collections["CU-Recon: terrain"]["origin_altitude"] == 310
 
 
-def check_nearest() -> None:
-    """Looking among a sample first finds the same points about a pick as looking at all of them."""
-    places = np.random.default_rng(4).normal(size=(5000, 3)).astype(np.float32)
-    kept, measurements.SAMPLE = measurements.SAMPLE, 100
-    for end in (places[0], np.array([0.1, 0.2, 0.3]), np.array([9.0, -9.0, 30.0])):
-        near, everything = (
-            measuring.surroundings(chosen, end) for chosen in (measurements._about(places, end), places)
-        )
-        np.testing.assert_allclose(
-            (near.spacing, near.scatter, near.gap), (everything.spacing, everything.scatter, everything.gap), rtol=1e-6)
-    measurements.SAMPLE = kept
-    assert len(measurements._about(places[:3], places[0])) == 3 and not len(measurements._about(places[:0], places[0]))
-
-
 def check_files() -> np.ndarray:
     """What the workspace keeps comes back with an import, an export, a saved file; undo takes it back there too."""
     stands = where(SLAB)
@@ -259,7 +244,6 @@ try:
     assert second["scale"] if "scale" in second else second.users_collection[0]["scale"] == "metres"
     bpy.ops.curecon.import_workspace(directory=str(FOLDER / "parts"))
     assert bpy.ops.curecon.forget_position.poll()
-    check_nearest()
     check_ground()
 finally:
     curecon_blender.unregister()
