@@ -6,14 +6,7 @@ from __future__ import annotations
 
 import torch
 
-from curecon_blender.core.refinement import (
-    STEP,
-    WINDOWS,
-    Refinement,
-    moments,
-    picture_candidates,
-    window_candidates,
-)
+from curecon_blender.core.refinement import CANDIDATES, STEP, Refinement, plane_candidates
 
 INTERVAL = 1 / 400
 
@@ -30,8 +23,8 @@ def test_a_plane_goes_on_across_what_nobody_knows() -> None:
     weight = torch.ones_like(quarter)
     weight[..., 12:20, 20:28] = 0  # 32 pixels of the photo
     quarter = torch.where(weight > 0, quarter, 0.9)
-    found = torch.stack(window_candidates(moments(quarter) * weight))
-    assert len(found) == WINDOWS
+    found = torch.stack(plane_candidates(quarter, weight))
+    assert len(found) == CANDIDATES - 1
     hole = (found - truth)[..., 48:80, 80:112].abs()
     assert hole.amin(0).max() < INTERVAL  # every pixel of it has a window that says the plane
     assert (found[-5] - truth).abs()[..., 48:80, 80:112].mean() < INTERVAL  # the largest window about it, all of it
@@ -43,19 +36,8 @@ def test_two_planes_that_meet_are_both_offered_up_to_the_edge() -> None:
     quarter = torch.nn.functional.avg_pool2d(truth, STEP)
     weight = torch.ones_like(quarter)
     weight[..., 22:26] = 0
-    found = torch.stack(window_candidates(moments(quarter) * weight))
+    found = torch.stack(plane_candidates(quarter, weight))
     assert (found - truth).abs().amin(0)[..., 88:104].max() < INTERVAL
-
-
-def test_planes_across_the_picture_go_on_behind_what_stands_before_them() -> None:
-    truth = sloping(128, 192)
-    quarter = torch.nn.functional.avg_pool2d(truth, STEP)
-    building = torch.zeros_like(quarter)
-    building[..., 16:48] = 1
-    ground, facade = picture_candidates(moments(torch.where(building > 0, 0.9, quarter)),
-                                        torch.cat([1 - building, building], 1))
-    assert (ground - truth).abs().max() < INTERVAL
-    assert (facade - 0.9).abs().max() < INTERVAL
 
 
 def test_a_new_one_keeps_the_estimate() -> None:

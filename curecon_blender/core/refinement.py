@@ -5,9 +5,8 @@
 What no source sees, or what is too plain to match, mostly goes on as the surface beside it. Planes are straight in
 inverse depth, so one is fitted in closed form through the sure pixels of windows of three sizes, around each pixel and
 to its four sides. A small 2D U-Net at a quarter of the photo, which sees the photo, the cascade's estimate and how
-sure it is, names the pixels of a few planes that reach across the whole picture (the ground behind a building is the
-ground before it), chooses between a pixel's own estimate and what all those planes say there, and tells how sure the
-choice is. It goes beyond the paper; see ARCHITECTURE.md.
+sure it is, chooses between a pixel's own estimate and what those planes say there, and tells how sure the choice is.
+It goes beyond the paper; see ARCHITECTURE.md.
 
 Shapes as in network.py; a quarter is h, w = H/4, W/4.
 """
@@ -25,12 +24,9 @@ STEP = 4  # pixels of the photo to one of the U-Net's
 RADII = (2, 5, 12)  # of the windows, in pixels of a quarter
 SIDES = ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))  # where a window lies from its pixel, x and y
 ASIDE = 0.75  # of a window's width, from a pixel to the middle of a window at its side
-PLANES = 2  # across the whole picture
-WINDOWS = len(RADII) * len(SIDES)
-CANDIDATES = 1 + WINDOWS + PLANES  # the pixel's own estimate first
+CANDIDATES = 1 + len(RADII) * len(SIDES)  # the pixel's own estimate first
 ALIKE = 2.0  # intervals from a candidate within which others say the same
 _COORDINATE = 50.0  # pixels of a quarter to one unit of the fits' coordinates, so that sums stay near 1
-_LEAST = 1e-5  # weight of a pixel that is not sure at all
 _RIDGE = 1e-4  # of a window's spread, in those units squared: a window with one sure pixel gives a level plane
 _WIDTHS = (1, 2, 2, 2)  # of the U-Net at each scale, times its channels
 
@@ -54,14 +50,13 @@ class Refinement(nn.Module):
         seen = 7 * STEP**2  # colours, the estimate's detail and three shares of a block of pixels
         c = channels
         self.weigh = nn.Sequential(nn.Conv2d(seen, c, 1), nn.ReLU(), _conv(c), nn.Conv2d(c, 1, 1))
-        self.enter = nn.Sequential(nn.Conv2d(seen + WINDOWS + 1, c, 1), nn.ReLU())
+        self.enter = nn.Sequential(nn.Conv2d(seen + CANDIDATES, c, 1), nn.ReLU())
         widths = [width * c for width in _WIDTHS]
         steps = list(pairwise(widths))
         self.at = nn.ModuleList(nn.Sequential(_conv(w), _conv(w)) for w in widths)
         self.down = nn.ModuleList(_conv(w, wider, stride=2) for w, wider in steps)
         self.up = nn.ModuleList(nn.ConvTranspose2d(wider, w, 2, 2) for w, wider in steps[::-1])
         self.merge = nn.ModuleList(_conv(w) for w in widths[-2::-1])
-        self.belong = nn.Conv2d(c, PLANES, 1)
         self.leave = nn.Conv2d(c, (CANDIDATES + 2) * STEP**2, 1)
         with torch.no_grad():  # begins by keeping every pixel's own estimate
             self.leave.weight.zero_()
@@ -75,10 +70,8 @@ class Refinement(nn.Module):
         detail = ((t - _enlarged(quarter)) / interval).clamp(-4, 4) / 4
         seen = F.pixel_unshuffle(torch.cat([(image - 0.45) / 0.25, detail, shares * 2 - 1], 1), STEP)
         worth = self.weigh(seen).float()
-        surety = F.avg_pool2d(shares[:, :1], STEP) ** 2
-        plane_terms = moments(quarter)
-        windows = window_candidates(plane_terms * (torch.sigmoid(worth) * surety + _LEAST))
-        candidates = torch.cat([t, *windows], 1)
+        weight = torch.sigmoid(worth) * F.avg_pool2d(shares[:, :1], STEP) ** 2 + 1e-5
+        candidates = torch.cat([t, *plane_candidates(quarter, weight)], 1)
         apart = (F.avg_pool2d(candidates[:, 1:], STEP) - quarter) / interval
         x = self.enter(torch.cat([seen, worth.clamp(-4, 4) / 4, apart.sign() * apart.abs().log1p() / 2], 1))
         skips = []
@@ -88,8 +81,6 @@ class Refinement(nn.Module):
         x = skips.pop()
         for up, merge in zip(self.up, self.merge, strict=True):
             x = merge(up(x) + skips.pop())
-        belonging = torch.sigmoid(self.belong(x).float()) * surety + _LEAST
-        candidates = torch.cat([candidates, *picture_candidates(plane_terms, belonging)], 1)
         choice, offset, sure = F.pixel_shuffle(self.leave(x).float(), STEP).split([CANDIDATES, 1, 1], 1)
         probability = torch.softmax(choice, 1)
         likeliest = candidates.gather(1, _choice(candidates, probability, ALIKE * interval))
@@ -109,53 +100,31 @@ def _choice(candidates: Tensor, probability: Tensor, reach: float) -> Tensor:
     return choice
 
 
-def moments(t: Tensor) -> Tensor:
-    """What a fit of planes to a quarter's t (B,1,h,w) sums up, (B,9,h,w): 1, x, y, xx, xy, yy, t, tx, ty."""
+def plane_candidates(t: Tensor, weight: Tensor) -> list[Tensor]:
+    """What the planes about each pixel say there, each (B,1,4h,4w), from t and the weights (B,1,h,w) of a quarter."""
     h, w = t.shape[2:]
     rows, columns = (torch.arange(n, device=t.device, dtype=t.dtype) / _COORDINATE for n in (h, w))
     y, x = (a[None, None] for a in torch.meshgrid(rows, columns, indexing="ij"))
-    return torch.cat([a.expand_as(t) for a in (torch.ones_like(t), x, y, x * x, x * y, y * y)] + [t, t * x, t * y], 1)
-
-
-def window_candidates(weighted: Tensor) -> list[Tensor]:
-    """What the planes of the windows about each pixel say there, each (B,1,4h,4w), from weighted moments (B,9,h,w)."""
-    h, w = weighted.shape[2:]
-    x, y = _fine(weighted)
+    fine = [((torch.arange(n * STEP, device=t.device, dtype=t.dtype) + 0.5) / STEP - 0.5) / _COORDINATE
+            for n in (h, w)]
+    fine_y, fine_x = (a[None, None] for a in torch.meshgrid(*fine, indexing="ij"))
+    moments = weight * torch.cat([a.expand_as(t) for a in (torch.ones_like(t), x, y, x * x, x * y, y * y)]
+                                 + [t, t * x, t * y], 1)
     found = []
     for radius in RADII:
-        width = 2 * radius + 1
-        rows = F.avg_pool2d(weighted, (1, width), 1, (0, radius))
-        plane = _fit(F.avg_pool2d(rows, (width, 1), 1, (radius, 0)))
-        aside = int(ASIDE * width)
+        plane = _fit(F.avg_pool2d(moments, 2 * radius + 1, 1, radius))
+        aside = int(ASIDE * (2 * radius + 1))
         around = F.pad(plane, (aside,) * 4, mode="replicate")
         for dx, dy in SIDES:
             top, left = aside * (1 + dy), aside * (1 + dx)
             level, along_x, along_y = _enlarged(around[:, :, top : top + h, left : left + w]).split(1, 1)
-            found.append((level + along_x * x + along_y * y).clamp(0, 1))
+            found.append((level + along_x * fine_x + along_y * fine_y).clamp(0, 1))
     return found
 
 
-def picture_candidates(plane_terms: Tensor, weights: Tensor) -> list[Tensor]:
-    """What planes across the whole picture say, each (B,1,4h,4w): one for each of the weights (B,P,h,w) of its moments
-    (B,9,h,w)."""
-    x, y = _fine(plane_terms)
-    found = []
-    for weight in weights.split(1, 1):
-        level, along_x, along_y = _fit((plane_terms * weight).mean((2, 3), keepdim=True)).split(1, 1)
-        found.append((level + along_x * x + along_y * y).clamp(0, 1))
-    return found
-
-
-def _fine(quarter: Tensor) -> tuple[Tensor, Tensor]:
-    """x and y of the photo's pixels, (1,1,1,4w) and (1,1,4h,1), in the coordinates of a quarter's fits."""
-    y, x = (((torch.arange(n * STEP, device=quarter.device, dtype=quarter.dtype) + 0.5) / STEP - 0.5) / _COORDINATE
-            for n in quarter.shape[2:])
-    return x[None, None, None], y[None, None, :, None]
-
-
-def _fit(weighted: Tensor) -> Tensor:
+def _fit(moments: Tensor) -> Tensor:
     """Planes t = level + a x + b y (B,3,h,w) by weighted least squares, from the nine mean moments (B,9,h,w)."""
-    total, *others = weighted.split(1, 1)
+    total, *others = moments.split(1, 1)
     mx, my, mxx, mxy, myy, mt, mtx, mty = (m / (total + 1e-6) for m in others)
     xx, yy, xy = mxx - mx * mx + _RIDGE, myy - my * my + _RIDGE, mxy - mx * my
     tx, ty = mtx - mt * mx, mty - mt * my
