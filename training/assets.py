@@ -197,6 +197,17 @@ def plaster_texture(seed: int, size: int = 512) -> np.ndarray:
     return np.clip((0.85 + value)[..., None] * base, 0, 255).astype(np.uint8)
 
 
+def overcast_texture(seed: int, height: int = 256) -> np.ndarray:
+    """(height,2*height,3) uint8 panorama of a white to grey sky with hardly any clouds, often burnt out."""
+    rng = np.random.default_rng(seed)
+    small = Image.fromarray(np.tile(rng.normal(0, 1, (6, 12)), 3).astype(np.float32))  # the middle third has no seam
+    clouds = np.asarray(small.resize((6 * height, height), Image.Resampling.BICUBIC))[:, 2 * height : 4 * height]
+    zenith, horizon = rng.uniform(190, 270, 2)
+    level = np.linspace(zenith, horizon, height)[:, None] + rng.uniform(0, 9) * clouds
+    tint = 1 - rng.uniform(0, 0.1) * np.array([1.0, 0.45, 0.0])  # towards blue
+    return np.clip(level[..., None] * tint, 0, 255).astype(np.uint8)
+
+
 class Assets:
     """Lazy, cached access to one asset folder."""
 
@@ -235,11 +246,13 @@ class Assets:
         return tuple(read_glb(self.folder / name))
 
     def _texture(self, name: str) -> np.ndarray:
-        """(H,W,3 or 4) uint8.  `roof:SEED` and `plaster:SEED` are made, not read."""
+        """(H,W,3 or 4) uint8.  `roof:SEED`, `plaster:SEED` and `overcast:SEED` are made, not read."""
         if name.startswith("roof:"):
             return roof_tile_texture(int(name[5:]))
         if name.startswith("plaster:"):
             return plaster_texture(int(name[8:]))
+        if name.startswith("overcast:"):
+            return overcast_texture(int(name[9:]))
         if name == "plain":
             return np.full((4, 4, 3), 180, np.uint8)
         file = Image.open(self.folder / name)

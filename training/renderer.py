@@ -39,7 +39,7 @@ void main() {
 _COLOUR_FRAGMENT = """
 uniform sampler2D u_texture; uniform sampler2D u_texture1; uniform sampler2D u_texture2;
 uniform sampler2D u_ao; uniform sampler2D u_detail; uniform sampler2DShadow u_shadow_map;
-uniform vec3 u_tiles; uniform vec3 u_tint; uniform float u_gloss;
+uniform vec3 u_tiles; uniform vec3 u_tint; uniform float u_gloss; uniform float u_contrast;
 uniform float u_detail_tile; uniform float u_detail_strength; uniform float u_detail_mean;
 uniform vec3 u_sun; uniform vec3 u_sun_colour; uniform vec3 u_ambient[9];
 uniform vec3 u_eye; uniform float u_haze; uniform float u_exposure; uniform vec3 u_haze_colour;
@@ -54,6 +54,9 @@ vec3 ambient(vec3 n) {
         + 0.315392 * u_ambient[6] * (3.0 * d.z * d.z - 1.0) + 0.546274 * u_ambient[8] * (d.x * d.x - d.y * d.y));
     return max(e, vec3(0.25) * u_ambient[0] * 0.282095);
 }
+vec4 faded(sampler2D image, vec4 texel) {   // towards the mean, which the coarsest level of the texture holds
+    return vec4(mix(textureLod(image, vec2(0.5), 20.0).rgb, texel.rgb, u_contrast), texel.a);
+}
 vec4 box_mapped(sampler2D image, vec3 normal, float tile) {
     vec3 a = abs(normal);
     vec3 p = v_world / tile, dx = dFdx(p), dy = dFdy(p);
@@ -67,13 +70,13 @@ vec4 box_mapped(sampler2D image, vec3 normal, float tile) {
 void main() {
     vec3 normal = normalize(v_normal);
 #if MODE == 1
-    vec3 base = texture(u_texture, v_uv / u_tiles.x).rgb;
-    base = mix(base, texture(u_texture1, v_uv / u_tiles.y).rgb, v_uv2.x);
-    vec4 texel = vec4(mix(base, texture(u_texture2, v_uv / u_tiles.z).rgb, v_uv2.y), 1.0);
+    vec4 base = faded(u_texture, texture(u_texture, v_uv / u_tiles.x));
+    base = mix(base, faded(u_texture1, texture(u_texture1, v_uv / u_tiles.y)), v_uv2.x);
+    vec4 texel = vec4(mix(base, faded(u_texture2, texture(u_texture2, v_uv / u_tiles.z)), v_uv2.y).rgb, 1.0);
 #elif MODE == 2
-    vec4 texel = box_mapped(u_texture, normal, u_tiles.x);
+    vec4 texel = faded(u_texture, box_mapped(u_texture, normal, u_tiles.x));
 #else
-    vec4 texel = texture(u_texture, v_uv / u_tiles.x);
+    vec4 texel = faded(u_texture, texture(u_texture, v_uv / u_tiles.x));
 #endif
 #if CUT
     if (texel.a < 0.5) discard;
@@ -81,7 +84,7 @@ void main() {
     vec3 albedo = texel.rgb * texel.rgb * u_tint;
 #if DETAIL
     float fine = dot(box_mapped(u_detail, normal, u_detail_tile).rgb, vec3(0.333));
-    albedo *= max(1.0 + u_detail_strength * (fine / u_detail_mean - 1.0), 0.2);
+    albedo *= max(1.0 + u_detail_strength * u_contrast * (fine / u_detail_mean - 1.0), 0.2);
 #endif
     vec3 to_eye = normalize(u_eye - v_world);
     if (dot(normal, to_eye) < 0.0) normal = -normal;   // models are double-sided
@@ -149,6 +152,7 @@ class _Draw:
     normal_matrix: np.ndarray
     tint: tuple[float, float, float]
     gloss: float
+    contrast: float
     centre: np.ndarray
     radius: float
 
@@ -254,6 +258,7 @@ class Renderer:
                         normal_matrix,
                         instance.tint,
                         instance.gloss,
+                        instance.contrast,
                         centre,
                         gpu_mesh.radius * stretch,
                     )
@@ -389,7 +394,8 @@ class Renderer:
             if kind == "colour" and material.ao is not None:
                 self._texture(material.ao)[0].use(3)
             _set(program, u_model=draw.transform, u_normal=draw.normal_matrix)
-            _set(program, u_tiles=material.tiles, u_tint=draw.tint, u_gloss=draw.gloss)
+            _set(program, u_tiles=material.tiles, u_tint=draw.tint, u_gloss=draw.gloss,
+                 u_contrast=draw.contrast)
             draw.mesh.draw(program)
 
     def _draw_sky(self, view_projection: np.ndarray) -> None:

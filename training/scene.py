@@ -26,6 +26,7 @@ class Instance:
     tint: tuple[float, float, float] = (1.0, 1.0, 1.0)
     gloss: float = 0.0
     override: Material | None = None  # replaces the colour of every mesh that is not alpha-cut
+    contrast: float = 1.0  # of its colours about their mean: plain plaster has little
 
 
 @dataclass(frozen=True)
@@ -288,4 +289,25 @@ def compose(assets: Assets, rng: np.random.Generator, held_out: bool) -> World:
     instances.append(Instance((terrain.mesh(material),), np.eye(4), None, _tint(rng)))
     fine = [n for n in assets.names("texture") if "uav_" not in n]
     detail = Detail(str(rng.choice(fine)), float(rng.uniform(1.2, 4)), float(rng.choice([0, 0.3, 0.6, 0.9])))
-    return World(tuple(instances), terrain, placed[0], site, _light(assets, rng), detail, tuple(solids))
+    world = World(tuple(instances), terrain, placed[0], site, _light(assets, rng), detail, tuple(solids))
+    # Validation scenes stay those that earlier figures were measured on; a generator of its own leaves the rest be.
+    return world if held_out else _plainer(world, len(placed), rng.spawn(1)[0])
+
+
+def _plainer(world: World, buildings: int, rng: np.random.Generator) -> World:
+    """Some worlds with pale plain walls, calm ground or an overcast sky, as photos have them and game art does not:
+    there the network must know what it cannot match, and tell a wall from the sky. The buildings come first among the
+    world's instances, the ground last."""
+    instances = list(world.instances)
+    if rng.random() < 0.35:
+        for i in range(buildings):
+            if rng.random() < 0.75:
+                paler = rng.uniform(1.0, 1.7)
+                red, green, blue = (c * paler for c in instances[i].tint)
+                instances[i] = replace(instances[i], contrast=float(rng.uniform(0.03, 0.4)), tint=(red, green, blue))
+    if rng.random() < 0.25:
+        instances[-1] = replace(instances[-1], contrast=float(rng.uniform(0.1, 0.5)))
+    light = world.light
+    if rng.random() < 0.4:
+        light = replace(light, sky=f"overcast:{rng.integers(16)}")
+    return replace(world, instances=tuple(instances), light=light)
