@@ -6,7 +6,8 @@
     python -m evaluation.validation SCENES [--methods network plane-sweep patchmatch] [--references 2] [--json]
 
 Every method gets the same references, the same four sources by Algorithm 1, and the same depth range: from the sparse
-points, as in use, or with `--range true` the true one, as BlendedMVS hands it to a network. The depth interval is
+points, as in use, or with `--range true` the true one, as BlendedMVS hands it to a network. The network is told of the
+sparse points that lie in the picture, as in use, or with `--without-points` of none. The depth interval is
 that of BlendedMVS, 1/128 of the reference's true range (1st to 99th percentile). PatchMatch is that of the package
 pyarchinit-photogrammetry-core; it fills only where it is sure enough, so its errors are over fewer pixels: read them
 with its coverage. A second table counts only the pixels that at least two of the sources really see: the others can be
@@ -26,6 +27,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from curecon_blender.core import sparse_points
 from curecon_blender.core.allocator import use_large_pages
 from curecon_blender.core.depth import DepthEstimator
 from curecon_blender.core.options import Options
@@ -56,10 +58,12 @@ class Result:
 
 
 def views_of(
-    scene: Scene, folder: Path, references: int, sources: int, sweep: str = "sparse"
+    scene: Scene, folder: Path, references: int, sources: int, sweep: str = "sparse",
+    points: bool = True,
 ) -> list[tuple[View, int, list[View]]]:
     """References of a scene (evenly taken, with their number) and the sources of each; pictures go to the folder.
-    `sweep`: the depth range is from the "sparse" points or the "true" one."""
+    `sweep`: the depth range is from the "sparse" points or the "true" one. `points`: the views are told of the sparse
+    points that lie in them."""
     height, width = scene.depth.shape[1:]
     for i, picture in enumerate(scene.images):
         cv2.imwrite(str(folder / f"{i}.png"), picture[..., ::-1])
@@ -74,13 +78,21 @@ def views_of(
             chosen.append((reference, near, far, scored))
     step = max(1, len(chosen) // references)
 
-    def view(i: int, near: float, far: float, scored: list[tuple[int, float]]) -> View:
+    def view(i: int, near: float, far: float, scored: list[tuple[int, float]], points: int = 0) -> View:
         return View(name=str(i), image=f"{i}.png", width=width, height=height, K=scene.K[i],
                     cam_from_world=scene.cam_from_world[i], near=near, far=far,
-                    sources=tuple((str(n), s) for n, s in scored))
+                    sources=tuple((str(n), s) for n, s in scored), points=points)
+
+    def told(i: int) -> int:
+        """Write what the view i is told of the sparse points, and how many those are."""
+        found = sparse_points.points_in(scene.points, scene.visible[i], scene.K[i], scene.cam_from_world[i],
+                                        (width, height))
+        sparse_points.write(folder, str(i), found)
+        return len(found)
 
     return [
-        (view(reference, near, far, scored), reference, [view(n, near, far, []) for n, _ in scored])
+        (view(reference, near, far, scored, told(reference) if points else 0), reference,
+         [view(n, near, far, []) for n, _ in scored])
         for reference, near, far, scored in chosen[step // 2 :: step][:references]
     ]
 
@@ -113,7 +125,7 @@ def network_method(weights: Path | None) -> Method:
 
 
 def measure(
-    method: Method, scenes: list[Path], references: int, sources: int, sweep: str
+    method: Method, scenes: list[Path], references: int, sources: int, sweep: str, points: bool = True
 ) -> Result:
     """Mean errors of a method over the references of all scenes."""
     errors, observed, seconds = [], [], []
@@ -121,7 +133,8 @@ def measure(
     for path in scenes:
         scene = load(path)
         with tempfile.TemporaryDirectory() as folder:
-            for view, reference, others in views_of(scene, Path(folder), references, sources, sweep):
+            for view, reference, others in views_of(scene, Path(folder), references, sources, sweep,
+                                                     points):
                 began = time.process_time()
                 depth, confidence = method(view, others, Path(folder))
                 seconds.append(time.process_time() - began)
@@ -149,6 +162,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--references", type=int, default=2, help="a scene")
     parser.add_argument("--sources", type=int, default=4)
     parser.add_argument("--range", choices=("sparse", "true"), default="sparse", help="that is swept")
+    parser.add_argument("--without-points", action="store_true", help="the network is told of no sparse points")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args(arguments)
     scenes = sorted(args.scenes.glob("*.npz"))
@@ -156,7 +170,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"{args.scenes} holds no scenes; make some with training.generator.", file=sys.stderr)
         return 2
     results = {name: measure(METHODS.get(name) or network_method(args.weights), scenes, args.references, args.sources,
-                             args.range) for name in args.methods}
+                             args.range, not args.without_points) for name in args.methods}
     if args.json:
         print(json.dumps({name: asdict(result) for name, result in results.items()}))
         return 0

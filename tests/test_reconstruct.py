@@ -66,6 +66,19 @@ def test_depth_files_say_all_that_is_needed_to_use_them(finished: tuple[Path, Ru
             np.testing.assert_array_equal(arrays["cam_from_world"], view.cam_from_world)
 
 
+def test_depth_maps_agree_with_the_sparse_points_that_they_are_told_of(finished: tuple[Path, Run]) -> None:
+    from curecon_blender.core import sparse_points
+
+    workspace, _ = finished
+    for view in read(workspace)[0].views:
+        points = sparse_points.read(workspace, view)
+        matched = points[points[:, 3] > 0]
+        assert len(points) == view.points > len(matched) > 20
+        with np.load(workspace / "depth" / f"{view.name}.npz") as arrays:
+            depth = arrays["depth"][matched[:, 1].astype(int), matched[:, 0].astype(int)]
+        assert np.median(np.abs(depth / matched[:, 2] - 1)) < 0.01
+
+
 def test_a_second_run_does_nothing(finished: tuple[Path, Run], site_photos: Path) -> None:
     workspace, first = finished
     before = times(workspace / "depth"), times(workspace), times(workspace / "sparse")

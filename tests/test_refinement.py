@@ -1,12 +1,24 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The refinement: planes go on where nothing is known, and a new one leaves the cascade's estimate alone."""
+"""The refinement: planes go on where nothing is known, points say where, and a new one leaves the cascade's estimate
+alone."""
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 
-from curecon_blender.core.refinement import CANDIDATES, STEP, Refinement, plane_candidates
+from curecon_blender.core.refinement import (
+    KINDS,
+    RADII,
+    SIDES,
+    STEP,
+    Refinement,
+    moments,
+    picture_candidates,
+    rasterised,
+    window_candidates,
+)
 
 INTERVAL = 1 / 400
 
@@ -23,8 +35,8 @@ def test_a_plane_goes_on_across_what_nobody_knows() -> None:
     weight = torch.ones_like(quarter)
     weight[..., 12:20, 20:28] = 0  # 32 pixels of the photo
     quarter = torch.where(weight > 0, quarter, 0.9)
-    found = torch.stack(plane_candidates(quarter, weight))
-    assert len(found) == CANDIDATES - 1
+    found = torch.stack(window_candidates(moments(quarter) * weight, SIDES))
+    assert len(found) == len(RADII) * len(SIDES)
     hole = (found - truth)[..., 48:80, 80:112].abs()
     assert hole.amin(0).max() < INTERVAL  # every pixel of it has a window that says the plane
     assert (found[-5] - truth).abs()[..., 48:80, 80:112].mean() < INTERVAL  # the largest window about it, all of it
@@ -36,13 +48,47 @@ def test_two_planes_that_meet_are_both_offered_up_to_the_edge() -> None:
     quarter = torch.nn.functional.avg_pool2d(truth, STEP)
     weight = torch.ones_like(quarter)
     weight[..., 22:26] = 0
-    found = torch.stack(plane_candidates(quarter, weight))
+    found = torch.stack(window_candidates(moments(quarter) * weight, SIDES))
     assert (found - truth).abs().amin(0)[..., 88:104].max() < INTERVAL
+
+
+def test_planes_across_the_picture_go_on_behind_what_stands_before_them() -> None:
+    truth = sloping(128, 192)
+    quarter = torch.nn.functional.avg_pool2d(truth, STEP)
+    building = torch.zeros_like(quarter)
+    building[..., 16:48] = 1
+    ground, facade = picture_candidates(moments(torch.where(building > 0, 0.9, quarter)),
+                                        torch.cat([1 - building, building], 1))
+    assert (ground - truth).abs().max() < INTERVAL
+    assert (facade - 0.9).abs().max() < INTERVAL
+
+
+def test_points_in_a_hole_tell_of_the_surface_there() -> None:
+    truth = sloping(128, 192)
+    near, far = 1.0, 20.0
+    rows, columns = np.random.default_rng(0).integers(0, (128, 192), (200, 2)).T
+    depth = 1 / (1 / near + truth[0, 0, rows, columns].numpy() * (1 / far - 1 / near))
+    grid = torch.from_numpy(rasterised(np.column_stack([columns + 0.5, rows + 0.5, depth, np.zeros(200)]), near, far,
+                                       (192, 128)))[None]
+    found = torch.stack(window_candidates(moments(grid[:, :1]) * grid[:, KINDS : KINDS + 1], SIDES[:1]))
+    assert (found[-1] - truth).abs().max() < 2 * INTERVAL
+    assert not grid[:, KINDS + 1].any()  # the photo has matched none of them
+
+
+def test_the_nearest_point_of_a_block_counts_and_none_from_outside() -> None:
+    points = np.array([[9.0, 5.0, 4.0, 1.0], [10.5, 6.5, 2.0, 0.0], [33.0, 5.0, 2.0, 1.0], [9.0, -1.0, 2.0, 1.0],
+                       [20.0, 5.0, 10.0, 1.0], [20.0, 5.0, 0.5, 1.0]])
+    grid = rasterised(points, 1.0, 9.0, (32, 32))
+    there = grid[KINDS:]
+    assert there.sum() == 2 and (there[:, 1, 2] == 1).all()
+    any_t, matched_t = grid[:KINDS, 1, 2]
+    np.testing.assert_allclose([1 / (1 - t * 8 / 9) for t in (any_t, matched_t)], [2.0, 4.0], rtol=1e-5)
 
 
 def test_a_new_one_keeps_the_estimate() -> None:
     t, image = sloping(64, 96), torch.rand(1, 3, 64, 96)
-    refined = Refinement(8)(image, t, torch.full((1, 3, 64, 96), 0.9), INTERVAL)
+    points = torch.from_numpy(rasterised(np.array([[50.0, 30.0, 2.0, 1.0]]), 1.0, 9.0, (96, 64)))[None]
+    refined = Refinement(8)(image, t, torch.full((1, 3, 64, 96), 0.9), INTERVAL, points)
     assert (refined.t - t).abs().max() < INTERVAL
     assert refined.probability.argmax(1).eq(0).all()
     torch.testing.assert_close(refined.probability.sum(1), torch.ones(1, 64, 96))

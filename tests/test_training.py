@@ -28,7 +28,7 @@ from training import build_assets, generator
 from training.assets import Assets
 from training.dataset import Sample, training_sample
 from training.generator import Scene
-from training.train import State, batch_tensors, restart, save, start, step
+from training.train import State, batch_tensors, bf16_gains, restart, save, start, step
 
 ASSETS = ROOT.parent / "shared" / "data" / "training"
 
@@ -76,7 +76,7 @@ def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(scene: Scene, tmp_
 def test_it_learns(scene: Scene, tmp_path: Path) -> None:
     state = start(tmp_path, torch.device("cpu"))
     batch = batch_tensors(samples(scene, 1), torch.device("cpu"))
-    errors = [step(state, batch, 100, bf16=True)["epe"] for _ in range(80)]
+    errors = [step(state, batch, 100, bf16=bf16_gains(torch.device("cpu")))["epe"] for _ in range(80)]
     assert np.mean(errors[-5:]) < 0.5 * np.mean(errors[:5])
 
 

@@ -169,13 +169,13 @@ def run(rival: Rival, scenes: list[Path], held_out: list[Path], samples: int, cr
     began = time.process_time()
     with changed(rival):
         for sample, _ in zip(samples_of(scenes, 1, SIZE), range(samples), strict=False):
-            train.step(state, tensors(sample, rival), samples, bf16=True, loss=rival.loss)
+            train.step(state, tensors(sample, rival), samples, bf16=train.bf16_gains(CPU), loss=rival.loss)
         seconds = time.process_time() - began
         errors = []
         network.eval()
         for sample, _ in zip(samples_of(held_out, 2, HELD_OUT_SIZE), range(crops), strict=False):
             batch = tensors(sample, rival)
-            with torch.no_grad(), torch.autocast("cpu", torch.bfloat16):
+            with torch.no_grad(), torch.autocast("cpu", torch.bfloat16, enabled=train.bf16_gains(CPU)):
                 outputs = network(*(batch[k] for k in ("images", "K", "cam_from_world", "near", "far", "scores")))
             depth = network_module.depth_from_t(outputs[-1].t, batch["near"], batch["far"])[0, 0].numpy()
             seen = seen_by_two(sample) & (sample.depth > sample.near) & (sample.depth < sample.far)

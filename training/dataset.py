@@ -12,6 +12,7 @@ import torch
 
 from curecon_blender.core.matching_scores import depth_range, matching_score
 from curecon_blender.core.network import mean_disparity
+from curecon_blender.core.sparse_points import points_in
 from training.generator import Scene
 
 MOST_PIXELS = 560  # a sweep over more asks for so many hypotheses that one sample would take the time of three
@@ -22,7 +23,8 @@ class Sample:
     """One reference (view 0) with N sources. Arrays as the network takes them, without the batch dimension.
 
     `images` (V,H,W,3) uint8; `K` (V,3,3) and `cam_from_world` (V,3,4) float32, pixel centres at .5; `scores` (N,)
-    matching scores; `depth` (H,W) float32 z-depth in metres, 0 where unknown; `near`, `far` bound the sweep.
+    matching scores; `depth` (H,W) float32 z-depth in metres, 0 where unknown; `near`, `far` bound the sweep; `points`
+    (P,4) float32: column, row and z-depth of the sparse points in the reference, and whether it has matched them.
     """
 
     images: np.ndarray
@@ -32,6 +34,7 @@ class Sample:
     depth: np.ndarray
     near: float
     far: float
+    points: np.ndarray
 
 
 def source_scores(scene: Scene, reference: int) -> list[tuple[int, float]]:
@@ -115,4 +118,5 @@ def training_sample(scene: Scene, rng: np.random.Generator, sources: int, size: 
     return Sample(
         np.stack(images), np.stack(intrinsics).astype(np.float32), scene.cam_from_world[views].astype(np.float32),
         np.array([score for _, score in scored], np.float32), crop, near, far,
+        points_in(scene.points, scene.visible[reference], intrinsics[0], pose_ref, size),
     )

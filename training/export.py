@@ -25,7 +25,7 @@ from curecon_blender.core.weights import SHIPPED, save_network
 from training.dataset import training_sample
 from training.generator import load
 from training.losses import INTERVALS
-from training.train import batch_tensors, start
+from training.train import batch_tensors, bf16_gains, start
 
 SIZE = (384, 288)  # of the calibration's crops
 PIXELS = 4000  # a sample
@@ -43,9 +43,9 @@ def observe(network: LCMMVSNet, scenes: list[Path], samples: int, sources: int) 
         if sample is None:
             continue
         batch = batch_tensors([sample], torch.device("cpu"))
-        with torch.autocast("cpu", torch.bfloat16):
+        with torch.autocast("cpu", torch.bfloat16, enabled=bf16_gains(torch.device("cpu"))):
             outputs = network(*(batch[k] for k in ("images", "K", "cam_from_world", "near", "far", "scores")))
-            estimate, _ = network.estimate(batch["images"][:, 0], outputs)
+            estimate, _ = network.estimate(batch["images"][:, 0], outputs, batch["points"])
         t = t_from_depth(batch["depth"].clamp_min(1e-3), batch["near"], batch["far"])
         surface = (batch["depth"] > 0) & (t >= 0) & (t < 1)
         chosen = torch.from_numpy(rng.integers(surface.numel(), size=PIXELS))

@@ -10,7 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from curecon_blender.core.network import LevelOutput
-from curecon_blender.core.refinement import Refined
+from curecon_blender.core.refinement import PLANES, Refined
 
 GAMMA = {2: 2.0, 1: 1.0, 0: 0.0}
 ALPHA = {2: 0.75, 1: 0.5, 0: 0.25}
@@ -18,6 +18,8 @@ LEVEL_WEIGHT = {2: 0.5, 1: 1.0, 0: 2.0}
 INTERVALS = 128  # of the sweep, as BlendedMVS counts its errors
 NEAR = 40.0  # intervals of the finest level beyond which an error counts for little more
 FAR_WEIGHT = 0.05  # of each further interval
+PLANES_WEIGHT = 0.1
+RISK_WEIGHT = 1.0  # of the error, in intervals of the sweep, to be expected from the candidates and their probabilities
 
 
 def unified_label(t: Tensor, first: Tensor, interval: float, count: int) -> Tensor:
@@ -87,13 +89,19 @@ def refinement_loss(refined: Refined, t: Tensor, valid: Tensor, interval: float)
     """Of the choice between candidates, of the depth, and of how sure it is (where there is no surface, it is wrong).
 
     `t`, `valid` (B,1,H,W) at full resolution; `interval` in t, of the finest level. A candidate is as likely as it is
-    near, by a Laplace distribution; a large error counts not much more than a middling one, as it does in use.
+    near, by a Laplace distribution, where a large error counts not much more than a middling one; and those far off
+    cost what they are off by, or a guess at what no source sees would be as often far away as near.
     """
     apart = (refined.candidates - t).abs() / interval
-    near = refined.probability.clamp_min(1e-8).log() - apart.clamp_max(NEAR) - FAR_WEIGHT * apart
+    close = -apart.clamp_max(NEAR) - FAR_WEIGHT * apart
+    near = refined.probability.clamp_min(1e-8).log() + close
     error = (refined.t - t).abs()
     off = error / interval
     per_pixel = off.log1p() + FAR_WEIGHT * off - 0.5 * torch.logsumexp(near, 1, keepdim=True)
+    per_pixel = per_pixel + RISK_WEIGHT * INTERVALS * (
+        refined.probability * (refined.candidates - t).abs()).sum(1, keepdim=True)
+    # The planes across the picture part its surfaces among them, chosen or not: what is never near is never chosen.
+    per_pixel = per_pixel - PLANES_WEIGHT * torch.logsumexp(close[:, -PLANES:], 1, keepdim=True)
     right = valid & (error.detach() * INTERVALS < 1)
     sure = F.binary_cross_entropy_with_logits(refined.sure, right.float())
     return (per_pixel * valid).sum() / valid.sum().clamp_min(1) + 0.5 * sure

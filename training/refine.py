@@ -26,26 +26,41 @@ from torch import Tensor
 
 from curecon_blender.core.allocator import use_large_pages
 from curecon_blender.core.network import MULTIPLE, LCMMVSNet, full_shares, t_from_depth
-from curecon_blender.core.refinement import Refinement
+from curecon_blender.core.refinement import Refinement, rasterised
 from curecon_blender.core.weights import SHIPPED
 from training.dataset import Sample, training_sample
 from training.generator import load
 from training.losses import INTERVALS, refinement_loss
-from training.train import GRADIENT_NORM, SAVE_EVERY, State, batch_tensors, learning_rate, save, start, update_ema
+from training.train import (
+    GRADIENT_NORM,
+    SAVE_EVERY,
+    State,
+    batch_tensors,
+    bf16_gains,
+    learning_rate,
+    save,
+    start,
+    update_ema,
+)
 
 SIZES = (768, 576), (512, 384)  # of a map
 CROP = 512, 384  # of a step: whole windows of the refinement must fit
-MAPS_A_SCENE = 3
+VIEWS_A_MAP = 10  # of a scene for each of its maps, one in any case
 SOURCES = 2, 3, 4, 4, 4, 5
+WITHOUT_POINTS = 0.15  # of the steps have no sparse points
+FEWEST_POINTS = 0.3  # of a map's, as the root of their share
+WRONG_POINTS = 0.0, 0.0, 0.02, 0.05  # share of the points whose depth is made another
+BF16 = bf16_gains(torch.device("cpu"))
 _COLOURS, _UNIT = 255, 65535  # steps of a stored colour, of a stored sweep coordinate or share
 
 
 @torch.no_grad()
 def cascade_map(network: LCMMVSNet, sample: Sample) -> dict[str, np.ndarray]:
     """What the refinement sees of a sample, and the truth: `image` (H,W,3) uint8; `t`, `truth` (H,W) and `shares`
-    (3,H,W) uint16 in steps of 1/65535; `valid` (H,W) where the truth lies within the sweep; the finest `interval`."""
+    (3,H,W) uint16 in steps of 1/65535; `valid` (H,W) where the truth lies within the sweep; the finest `interval`;
+    `points` (P,4), `near` and `far` of the sample."""
     batch = batch_tensors([sample], torch.device("cpu"))
-    with torch.autocast("cpu", torch.bfloat16):
+    with torch.autocast("cpu", torch.bfloat16, enabled=BF16):
         outputs = network(*(batch[k] for k in ("images", "K", "cam_from_world", "near", "far", "scores")))
     truth = t_from_depth(batch["depth"].clamp_min(1e-3), batch["near"], batch["far"])
 
@@ -55,7 +70,7 @@ def cascade_map(network: LCMMVSNet, sample: Sample) -> dict[str, np.ndarray]:
     return {
         "image": sample.images[0], "t": stored(outputs[-1].t[0, 0]), "shares": stored(full_shares(outputs)[0]),
         "truth": stored(truth[0, 0]), "valid": ((batch["depth"] > 0) & (truth >= 0) & (truth < 1))[0, 0].numpy(),
-        "interval": np.float32(outputs[-1].interval),
+        "interval": np.float32(outputs[-1].interval), "points": sample.points, "near": sample.near, "far": sample.far,
     }
 
 
@@ -69,7 +84,7 @@ def fill(folder: Path, count: int, scenes: list[Path], network: LCMMVSNet, stopp
         scene = load(scenes[int(rng.integers(len(scenes)))])
         height, width = scene.depth.shape[1:]
         sizes = [size for size in SIZES if size[0] <= width and size[1] <= height]
-        for _ in range(MAPS_A_SCENE if sizes else 0):
+        for _ in range(1 + len(scene.images) // VIEWS_A_MAP if sizes else 0):
             sample = training_sample(scene, rng, int(rng.choice(SOURCES)), sizes[int(rng.integers(len(sizes)))])
             if stopped():
                 return
@@ -93,11 +108,25 @@ def crop_of(path: Path, rng: np.random.Generator) -> dict[str, Tensor]:
         found = {name: torch.from_numpy(np.atleast_3d(parts[name][cut].astype(np.float32)) / scale[name])
                  for name in scale}
         interval = torch.tensor(float(data["interval"]))
+        points = spoiled(data["points"] - np.array((x, y, 0, 0), np.float32), rng)
+        grid = rasterised(points, float(data["near"]), float(data["far"]), CROP)
     found = {name: (value if len(value) == 3 else value.permute(2, 0, 1))[None] for name, value in found.items()}
+    found["points"] = torch.from_numpy(grid)[None]
     for axis in (2, 3):
         if rng.random() < 0.5:
             found = {name: value.flip(axis) for name, value in found.items()}
     return {**found, "interval": interval}
+
+
+def spoiled(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Some of a map's sparse points (P,4), and some of those wrong: models are thinner and worse than rendered ones,
+    and some users of the network have none."""
+    if rng.random() < WITHOUT_POINTS:
+        return points[:0]
+    kept = points[rng.random(len(points)) < rng.uniform(FEWEST_POINTS, 1) ** 2]
+    wrong = rng.random(len(kept)) < rng.choice(WRONG_POINTS)
+    kept[wrong, 2] *= np.exp(rng.normal(0, 0.2, wrong.sum()))
+    return kept
 
 
 def step(state: State, crop: dict[str, Tensor], horizon: int) -> dict[str, float]:
@@ -105,9 +134,9 @@ def step(state: State, crop: dict[str, Tensor], horizon: int) -> dict[str, float
     for group in state.optimiser.param_groups:
         group["lr"] = learning_rate(state.steps, horizon)
     truth, valid, interval = crop["truth"], crop["valid"] > 0, float(crop["interval"])
-    with torch.autocast("cpu", torch.bfloat16):
+    with torch.autocast("cpu", torch.bfloat16, enabled=BF16):
         refinement = cast(Refinement, state.network.refinement)
-        refined = refinement(crop["image"], crop["t"], crop["shares"], interval)
+        refined = refinement(crop["image"], crop["t"], crop["shares"], interval, crop["points"])
     value = refinement_loss(refined, truth, valid, interval)
     state.optimiser.zero_grad(set_to_none=True)
     value.backward()

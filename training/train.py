@@ -31,7 +31,9 @@ import torch.distributed as dist
 from torch import Tensor
 
 from curecon_blender.core.allocator import use_large_pages
+from curecon_blender.core.depth import choose_precision
 from curecon_blender.core.network import LCMMVSNet, NetworkConfig, t_from_depth
+from curecon_blender.core.refinement import rasterised
 from curecon_blender.core.weights import describe, load_network
 from training.dataset import Sample, training_sample
 from training.generator import load
@@ -57,6 +59,11 @@ class State:
     earlier: int = 0  # samples seen before the schedule began anew (--restart)
 
 
+def bf16_gains(device: torch.device) -> bool:
+    """Whether a device is made for bf16; others emulate it, many times slower than fp32."""
+    return choose_precision("auto", device) == torch.bfloat16
+
+
 def batch_tensors(samples: list[Sample], device: torch.device) -> dict[str, Tensor]:
     """Samples of one size as the network's arguments (and the true depth), on the device."""
     def stack(name: str) -> Tensor:
@@ -68,6 +75,8 @@ def batch_tensors(samples: list[Sample], device: torch.device) -> dict[str, Tens
         "near": torch.tensor([s.near for s in samples], dtype=torch.float32, device=device),
         "far": torch.tensor([s.far for s in samples], dtype=torch.float32, device=device),
         "depth": stack("depth").unsqueeze(1),
+        "points": torch.from_numpy(np.stack(
+            [rasterised(s.points, s.near, s.far, (s.depth.shape[1], s.depth.shape[0])) for s in samples])).to(device),
     }
 
 
@@ -186,7 +195,8 @@ def step(
     valid = (depth > 0) & (t >= 0) & (t < 1)
     with torch.autocast(depth.device.type, torch.bfloat16, enabled=bf16):
         outputs = state.network(*(batch[k] for k in ("images", "K", "cam_from_world", "near", "far", "scores")))
-        refined = state.network.refine(batch["images"][:, 0], outputs) if state.network.config.refinement else None
+        refined = (state.network.refine(batch["images"][:, 0], outputs, batch["points"])
+                   if state.network.config.refinement else None)
     value = loss(outputs, t, valid, state.network.config.representation)
     estimate = outputs[-1].t
     if refined is not None:
@@ -230,6 +240,7 @@ def train(rank: int, options: argparse.Namespace, rendezvous: str) -> None:
     state = start(options.run, device, options.weights, NetworkConfig(**options.config))
     if options.restart:
         restart(state)
+    bf16 = bf16_gains(device)
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
@@ -252,7 +263,7 @@ def train(rank: int, options: argparse.Namespace, rendezvous: str) -> None:
                     if not feeder.is_alive():
                         raise RuntimeError("the thread that reads scenes has ended; its error is above") from None
             batch = batch_tensors(samples, device)
-            for name, value in step(state, batch, options.horizon, device.type in ("cpu", "cuda"),
+            for name, value in step(state, batch, options.horizon, bf16,
                                     fixed_statistics=options.fixed_statistics).items():
                 sums[name] = sums.get(name, 0.0) + value
             count += 1

@@ -16,7 +16,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from . import images
+from . import images, sparse_points
 from .allocator import release
 from .errors import DeviceError
 from .files import atomic_write
@@ -24,6 +24,7 @@ from .messages import Reporter
 from .network import FEWEST_HYPOTHESES, MOST_HYPOTHESES, MULTIPLE, LCMMVSNet, depth_from_t
 from .options import Options
 from .reading import Expected, read_arrays
+from .refinement import rasterised
 from .types import Component, View
 
 TILE_OVERLAP = 64  # pixels that neighbouring tiles share; half of it on each side is thrown away
@@ -133,7 +134,7 @@ class DepthEstimator:
         self.budget = memory_budget(options, self.device)
         self._workspace = workspace
         self._network = network.to(self.device).eval().fold_batch_norm()
-        if self.dtype == torch.bfloat16:
+        if self.dtype == torch.bfloat16 or self.device.type == "cpu":
             self._network.channels_last()
         self._features: OrderedDict[str, tuple[Tensor, ...]] = OrderedDict()
 
@@ -141,16 +142,17 @@ class DepthEstimator:
     def estimate(self, view: View, sources: list[tuple[View, float]]) -> tuple[np.ndarray, np.ndarray]:
         """z-depth (H,W) float32 in world units and confidence (H,W) float16 of a view from (source, S_i) pairs.
 
-        Raises DeviceError when the budget is too small.
+        Raises DeviceError when the budget is too small, WorkspaceError when the view's sparse points cannot be read.
         """
         depth = np.zeros((view.height, view.width), np.float32)
         confidence = np.zeros((view.height, view.width), np.float16)
         largest = max((v.width * v.height for v, _ in sources), default=0)
         scale = max(1.0, largest / (view.width * view.height))
         hypotheses = self.coarse_hypotheses(view, [source for source, _ in sources])
+        points = sparse_points.read(self._workspace, view)
         tiles = plan_tiles(view.width, view.height, max(1, round(len(sources) * scale)), hypotheses, self.budget)
         for tile in tiles:
-            tile_depth, tile_confidence = self._tile(view, sources, tile, hypotheses, whole=len(tiles) == 1)
+            tile_depth, tile_confidence = self._tile(view, sources, points, tile, hypotheses, len(tiles) == 1)
             # Only the inner part of a tile is kept, except at the photo's own edges.
             half = TILE_OVERLAP // 2
             x0, y0 = tile.x0 + half * (tile.x0 > 0), tile.y0 + half * (tile.y0 > 0)
@@ -168,7 +170,8 @@ class DepthEstimator:
         return self._network.coarse_hypotheses(K, poses, near, far, (view.width, view.height))
 
     def _tile(
-        self, view: View, sources: list[tuple[View, float]], tile: Tile, hypotheses: int, whole: bool
+        self, view: View, sources: list[tuple[View, float]], points: np.ndarray, tile: Tile, hypotheses: int,
+        whole: bool,
     ) -> tuple[np.ndarray, np.ndarray]:
         crops = [(view, tile)] + [
             (s, Tile(0, 0, s.width, s.height) if whole else visible_region(view, tile, s)) for s, _ in sources
@@ -183,11 +186,18 @@ class DepthEstimator:
                 features[0], features[1:], _batch(K).to(self.device), _batch(poses).to(self.device), near, far,
                 _batch(np.array([score for _, score in sources])).to(self.device), hypotheses,
             )
-            t, confidence = self._network.estimate(self._colours(view, tile), outputs)
+            colours = self._colours(view, tile)
+            t, confidence = self._network.estimate(colours, outputs, self._points(view, tile, points, colours))
         depth = depth_from_t(t, near, far)
         height, width = tile.y1 - tile.y0, tile.x1 - tile.x0
         return (depth[0, 0, :height, :width].cpu().numpy(),
                 confidence[0, 0, :height, :width].cpu().numpy().astype(np.float16))
+
+    def _points(self, view: View, region: Tile, points: np.ndarray, colours: Tensor) -> Tensor:
+        """The sparse points (P,4) of a view as the refinement of a region with these colours takes them."""
+        shift = np.array([region.x0, region.y0, 0, 0], np.float32)
+        grid = rasterised(points - shift, view.near, view.far, (colours.shape[3], colours.shape[2]))
+        return torch.from_numpy(grid).unsqueeze(0).to(self.device)
 
     def _colours(self, view: View, region: Tile) -> Tensor:
         """A region's colours (1,3,h,w) in [0, 1], its last column and row repeated up to the sides that the network

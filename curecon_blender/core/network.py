@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, cast
 
 import torch
 import torch.nn.functional as F
@@ -104,10 +104,22 @@ def _conv2d(inputs: int, outputs: int, kernel: int = 3, stride: int = 1) -> nn.S
     )
 
 
+class _Conv3d(nn.Conv3d):
+    """Asks oneDNN itself on a CPU in fp32: for one sample of few channels and planes torch would choose a loop of its
+    own, ten to twenty times as slow."""
+
+    def _conv_forward(self, input: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
+        if (input.device.type == "cpu" and input.dtype == torch.float32 and not torch.is_autocast_enabled("cpu")
+                and torch.backends.mkldnn.is_available()):
+            padding = cast(tuple[int, ...], self.padding)
+            return torch.mkldnn_convolution(input, weight, bias, padding, self.stride, self.dilation, self.groups)
+        return super()._conv_forward(input, weight, bias)
+
+
 def _conv3d(inputs: int, outputs: int, stride: int = 1) -> nn.Sequential:
     kernel = 4 if stride == 2 else 3  # as in two dimensions; an odd kernel would pull depth off by half a hypothesis
     return nn.Sequential(
-        nn.Conv3d(inputs, outputs, kernel, stride, 1, bias=False), nn.BatchNorm3d(outputs), nn.ReLU(inplace=True)
+        _Conv3d(inputs, outputs, kernel, stride, 1, bias=False), nn.BatchNorm3d(outputs), nn.ReLU(inplace=True)
     )
 
 
@@ -160,7 +172,7 @@ class CostRegulariser(nn.Module):
             )
             for i in range(3)
         )
-        self.leave = nn.Conv3d(c[0], 1, 3, padding=1)
+        self.leave = _Conv3d(c[0], 1, 3, padding=1)
         nn.init.constant_(self.leave.bias, -2.5)  # type: ignore[arg-type]  # most hypotheses are wrong
 
     def forward(self, cost: Tensor) -> Tensor:
@@ -251,7 +263,7 @@ class LCMMVSNet(nn.Module):
             self.refinement = Refinement(self.config.refinement)
 
     def channels_last(self) -> LCMMVSNet:
-        """Lay the convolutions out channels-last in place, which bf16 on CPUs wants; returns self."""
+        """Lay the convolutions out channels-last in place, which CPUs want, and bf16 everywhere; returns self."""
         self.features.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         if self.config.refinement:
             self.refinement.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
@@ -384,13 +396,14 @@ class LCMMVSNet(nn.Module):
             outputs.append(LevelOutput(logits, first, interval, *decode(logits, first, interval)))
         return outputs
 
-    def estimate(self, image: Tensor, outputs: list[LevelOutput]) -> tuple[Tensor, Tensor]:
-        """t and confidence in [0, 1], (B,1,H,W) each, from the reference's colours (B,3,H,W) and the levels' outputs.
+    def estimate(self, image: Tensor, outputs: list[LevelOutput], points: Tensor) -> tuple[Tensor, Tensor]:
+        """t and confidence in [0, 1], (B,1,H,W) each, from the reference's colours (B,3,H,W), the levels' outputs and
+        sparse points (B,4,H/4,W/4) as refinement.rasterised has them; zeros where none are known.
 
         Confidence is the chance that the depth is within one interval (1/128 of the sweep).
         """
         if self.config.refinement:
-            refined = self.refine(image, outputs)
+            refined = self.refine(image, outputs, points)
             return refined.t, torch.sigmoid(refined.sure)
         *weights, constant = self.config.calibration
         total = torch.full_like(outputs[-1].share, constant)
@@ -398,9 +411,10 @@ class LCMMVSNet(nn.Module):
             total += weight * torch.logit(share, eps=1e-4)
         return outputs[-1].t, torch.sigmoid(total)
 
-    def refine(self, image: Tensor, outputs: list[LevelOutput]) -> Refined:
+    def refine(self, image: Tensor, outputs: list[LevelOutput], points: Tensor) -> Refined:
         """The refinement of the cascade's outputs, which learn nothing from it; arguments as for `estimate`."""
-        refined: Refined = self.refinement(image, outputs[-1].t.detach(), full_shares(outputs), outputs[-1].interval)
+        refined: Refined = self.refinement(
+            image, outputs[-1].t.detach(), full_shares(outputs), outputs[-1].interval, points)
         return refined
 
 

@@ -159,8 +159,8 @@ class _Job:
             components_file.write(root, found)
 
         root = self.workspace.root
-        inputs = {"image_size": self.options.image_size, "sources": self.options.source_views}
-        self._stage("views", inputs, run, [components_file.FILE_NAME, "undistorted/*.jpg"])
+        inputs = {"image_size": self.options.image_size, "sources": self.options.source_views, "points": True}
+        self._stage("views", inputs, run, [components_file.FILE_NAME, "undistorted/*"])
         self.components = self._following_the_photos(components_file.read(root))
 
     def depth(self) -> None:

@@ -2,11 +2,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The refinement after the cascade: where a pixel's own estimate is poor, its sure neighbours' planes are at hand.
 
-What no source sees, or what is too plain to match, mostly goes on as the surface beside it. Planes are straight in
-inverse depth, so one is fitted in closed form through the sure pixels of windows of three sizes, around each pixel and
-to its four sides. A small 2D U-Net at a quarter of the photo, which sees the photo, the cascade's estimate and how
-sure it is, chooses between a pixel's own estimate and what those planes say there, and tells how sure the choice is.
-It goes beyond the paper; see ARCHITECTURE.md.
+What no source sees, or what is too plain to match, mostly goes on as the surface beside it; and the site's sparse
+points lie on it, for some photo of the flight has seen what the four sources have not. Planes are straight in inverse
+depth, so one is fitted in closed form through the sure pixels and the points of windows of three sizes, around each
+pixel and to its four sides, and through the points alone around it. A small 2D U-Net at a quarter of the photo, which
+sees the photo, the cascade's estimate and how sure it is, and the points, names the pixels of a few planes that reach
+across the whole picture (the ground behind a building is the ground before it), chooses between a pixel's own estimate
+and what all those planes say there, and tells how sure the choice is. It goes beyond the paper; see ARCHITECTURE.md.
 
 Shapes as in network.py; a quarter is h, w = H/4, W/4.
 """
@@ -16,6 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import pairwise
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -24,9 +27,13 @@ STEP = 4  # pixels of the photo to one of the U-Net's
 RADII = (2, 5, 12)  # of the windows, in pixels of a quarter
 SIDES = ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))  # where a window lies from its pixel, x and y
 ASIDE = 0.75  # of a window's width, from a pixel to the middle of a window at its side
-CANDIDATES = 1 + len(RADII) * len(SIDES)  # the pixel's own estimate first
+PLANES = 2  # across the whole picture
+WINDOWS = len(RADII) * len(SIDES) + len(RADII)  # through pixels and points, then through points alone
+CANDIDATES = 1 + WINDOWS + PLANES  # the pixel's own estimate first
+KINDS = 2  # of sparse points: all that lie in the picture, though it may not see them; those it has matched
 ALIKE = 2.0  # intervals from a candidate within which others say the same
 _COORDINATE = 50.0  # pixels of a quarter to one unit of the fits' coordinates, so that sums stay near 1
+_LEAST = 1e-5  # weight of a pixel that is not sure at all
 _RIDGE = 1e-4  # of a window's spread, in those units squared: a window with one sure pixel gives a level plane
 _WIDTHS = (1, 2, 2, 2)  # of the U-Net at each scale, times its channels
 
@@ -47,33 +54,47 @@ class Refinement(nn.Module):
 
     def __init__(self, channels: int) -> None:
         super().__init__()
-        seen = 7 * STEP**2  # colours, the estimate's detail and three shares of a block of pixels
+        # Colours, the estimate's detail and three shares of a block of pixels; its points, and how far off they are.
+        seen = 7 * STEP**2 + 2 * KINDS
         c = channels
-        self.weigh = nn.Sequential(nn.Conv2d(seen, c, 1), nn.ReLU(), _conv(c), nn.Conv2d(c, 1, 1))
-        self.enter = nn.Sequential(nn.Conv2d(seen + CANDIDATES, c, 1), nn.ReLU())
+        self.weigh = nn.Sequential(nn.Conv2d(seen, c, 1), nn.ReLU(), _conv(c), nn.Conv2d(c, 1 + KINDS, 1))
+        self.enter = nn.Sequential(nn.Conv2d(seen + WINDOWS + 1 + KINDS, c, 1), nn.ReLU())
         widths = [width * c for width in _WIDTHS]
         steps = list(pairwise(widths))
         self.at = nn.ModuleList(nn.Sequential(_conv(w), _conv(w)) for w in widths)
         self.down = nn.ModuleList(_conv(w, wider, stride=2) for w, wider in steps)
         self.up = nn.ModuleList(nn.ConvTranspose2d(wider, w, 2, 2) for w, wider in steps[::-1])
         self.merge = nn.ModuleList(_conv(w) for w in widths[-2::-1])
+        self.belong = nn.Conv2d(c, PLANES, 1)
         self.leave = nn.Conv2d(c, (CANDIDATES + 2) * STEP**2, 1)
         with torch.no_grad():  # begins by keeping every pixel's own estimate
             self.leave.weight.zero_()
             self.leave.bias.zero_()  # type: ignore[union-attr]
             self.leave.bias[: STEP**2] = 3.0  # type: ignore[index]
 
-    def forward(self, image: Tensor, t: Tensor, shares: Tensor, interval: float) -> Refined:
+    def forward(self, image: Tensor, t: Tensor, shares: Tensor, interval: float, points: Tensor) -> Refined:
         """From the reference's colours (B,3,H,W) in [0, 1], the cascade's t (B,1,H,W), its three shares (B,3,H,W) by
-        level 0, 1, 2, and the finest level's interval in t. H and W must divide by 32."""
+        level 0, 1, 2, the finest level's interval in t, and sparse points (B,2*KINDS,h,w) as `rasterised` has them. H
+        and W must divide by 32."""
         quarter = F.avg_pool2d(t, STEP)
         detail = ((t - _enlarged(quarter)) / interval).clamp(-4, 4) / 4
-        seen = F.pixel_unshuffle(torch.cat([(image - 0.45) / 0.25, detail, shares * 2 - 1], 1), STEP)
+        point_t, there = points.split(KINDS, 1)
+        seen = torch.cat([
+            F.pixel_unshuffle(torch.cat([(image - 0.45) / 0.25, detail, shares * 2 - 1], 1), STEP),
+            there, there * _intervals(point_t - quarter, interval),
+        ], 1)
         worth = self.weigh(seen).float()
-        weight = torch.sigmoid(worth) * F.avg_pool2d(shares[:, :1], STEP) ** 2 + 1e-5
-        candidates = torch.cat([t, *plane_candidates(quarter, weight)], 1)
-        apart = (F.avg_pool2d(candidates[:, 1:], STEP) - quarter) / interval
-        x = self.enter(torch.cat([seen, worth.clamp(-4, 4) / 4, apart.sign() * apart.abs().log1p() / 2], 1))
+        surety = F.avg_pool2d(shares[:, :1], STEP) ** 2
+        pixel_weight, *point_weights = torch.sigmoid(worth).split(1, 1)
+        plane_terms = moments(quarter)
+        point_terms = sum(moments(point_t[:, i : i + 1]) * (there[:, i : i + 1] * weight)
+                          for i, weight in enumerate(point_weights))
+        candidates = torch.cat([
+            t, *window_candidates(plane_terms * (pixel_weight * surety + _LEAST) + point_terms, SIDES),
+            *window_candidates(plane_terms * _LEAST + point_terms, SIDES[:1]),
+        ], 1)
+        apart = _intervals(F.avg_pool2d(candidates[:, 1:], STEP) - quarter, interval)
+        x = self.enter(torch.cat([seen, worth.clamp(-4, 4) / 4, apart], 1))
         skips = []
         for scale, at in enumerate(self.at):
             x = at(self.down[scale - 1](x) if scale else x)
@@ -81,12 +102,33 @@ class Refinement(nn.Module):
         x = skips.pop()
         for up, merge in zip(self.up, self.merge, strict=True):
             x = merge(up(x) + skips.pop())
+        belonging = torch.sigmoid(self.belong(x).float()) * surety + _LEAST
+        candidates = torch.cat([candidates, *picture_candidates(plane_terms, belonging)], 1)
         choice, offset, sure = F.pixel_shuffle(self.leave(x).float(), STEP).split([CANDIDATES, 1, 1], 1)
         probability = torch.softmax(choice, 1)
         likeliest = candidates.gather(1, _choice(candidates, probability, ALIKE * interval))
         alike = ((candidates - likeliest).abs() < ALIKE * interval) * probability
         mean = (alike * candidates).sum(1, keepdim=True) / alike.sum(1, keepdim=True)
         return Refined((mean + interval * torch.tanh(offset)).clamp(0, 1), sure, candidates, probability)
+
+
+def rasterised(points: np.ndarray, near: float, far: float, size: tuple[int, int]) -> np.ndarray:
+    """Sparse points as the refinement takes them, (2*KINDS,h,w) float32 for a photo of `size` (W, H) that divides by 4:
+    t of the nearest in each block, for each kind, then whether there is one.
+
+    `points` (P,4) are columns, rows, z-depths, and whether the photo itself is among those that a point comes from.
+    What lies outside the photo or the sweep from `near` to `far` is left out.
+    """
+    width, height = size
+    column, row, depth, matched = points.T
+    t = (1 / depth - 1 / near) / (1 / far - 1 / near)
+    inside = (t >= 0) & (t < 1) & (column >= 0) & (row >= 0) & (column < width) & (row < height)
+    grid = np.zeros((2 * KINDS, height // STEP, width // STEP), np.float32)
+    for kind, chosen in enumerate((inside, inside & (matched > 0))):
+        order = np.flatnonzero(chosen)[np.argsort(-t[chosen])]  # the nearest last, which stays
+        block = (row[order] // STEP).astype(int), (column[order] // STEP).astype(int)
+        grid[kind][block], grid[KINDS + kind][block] = t[order], 1
+    return grid
 
 
 def _choice(candidates: Tensor, probability: Tensor, reach: float) -> Tensor:
@@ -100,37 +142,66 @@ def _choice(candidates: Tensor, probability: Tensor, reach: float) -> Tensor:
     return choice
 
 
-def plane_candidates(t: Tensor, weight: Tensor) -> list[Tensor]:
-    """What the planes about each pixel say there, each (B,1,4h,4w), from t and the weights (B,1,h,w) of a quarter."""
+def moments(t: Tensor) -> Tensor:
+    """What a fit of planes to a quarter's t (B,1,h,w) sums up, (B,9,h,w): 1, x, y, xx, xy, yy, t, tx, ty."""
     h, w = t.shape[2:]
     rows, columns = (torch.arange(n, device=t.device, dtype=t.dtype) / _COORDINATE for n in (h, w))
     y, x = (a[None, None] for a in torch.meshgrid(rows, columns, indexing="ij"))
-    fine = [((torch.arange(n * STEP, device=t.device, dtype=t.dtype) + 0.5) / STEP - 0.5) / _COORDINATE
-            for n in (h, w)]
-    fine_y, fine_x = (a[None, None] for a in torch.meshgrid(*fine, indexing="ij"))
-    moments = weight * torch.cat([a.expand_as(t) for a in (torch.ones_like(t), x, y, x * x, x * y, y * y)]
-                                 + [t, t * x, t * y], 1)
+    return torch.cat([a.expand_as(t) for a in (torch.ones_like(t), x, y, x * x, x * y, y * y)] + [t, t * x, t * y], 1)
+
+
+def window_candidates(weighted: Tensor, sides: tuple[tuple[int, int], ...]) -> list[Tensor]:
+    """What the planes of the windows to some sides of each pixel say there, each (B,1,4h,4w), from weighted moments
+    (B,9,h,w)."""
+    h, w = weighted.shape[2:]
+    x, y = _fine(weighted)
     found = []
     for radius in RADII:
-        plane = _fit(F.avg_pool2d(moments, 2 * radius + 1, 1, radius))
-        aside = int(ASIDE * (2 * radius + 1))
+        width = 2 * radius + 1
+        rows = F.avg_pool2d(weighted, (1, width), 1, (0, radius))
+        plane = _fit(F.avg_pool2d(rows, (width, 1), 1, (radius, 0)))
+        aside = int(ASIDE * width)
         around = F.pad(plane, (aside,) * 4, mode="replicate")
-        for dx, dy in SIDES:
+        for dx, dy in sides:
             top, left = aside * (1 + dy), aside * (1 + dx)
             level, along_x, along_y = _enlarged(around[:, :, top : top + h, left : left + w]).split(1, 1)
-            found.append((level + along_x * fine_x + along_y * fine_y).clamp(0, 1))
+            found.append((level + along_x * x + along_y * y).clamp(0, 1))
     return found
 
 
-def _fit(moments: Tensor) -> Tensor:
+def picture_candidates(plane_terms: Tensor, weights: Tensor) -> list[Tensor]:
+    """What planes across the whole picture say, each (B,1,4h,4w): one for each of the weights (B,P,h,w) of its moments
+    (B,9,h,w)."""
+    x, y = _fine(plane_terms)
+    found = []
+    for weight in weights.split(1, 1):
+        level, along_x, along_y = _fit((plane_terms * weight).mean((2, 3), keepdim=True)).split(1, 1)
+        found.append((level + along_x * x + along_y * y).clamp(0, 1))
+    return found
+
+
+def _fine(quarter: Tensor) -> tuple[Tensor, Tensor]:
+    """x and y of the photo's pixels, (1,1,1,4w) and (1,1,4h,1), in the coordinates of a quarter's fits."""
+    y, x = (((torch.arange(n * STEP, device=quarter.device, dtype=quarter.dtype) + 0.5) / STEP - 0.5) / _COORDINATE
+            for n in quarter.shape[2:])
+    return x[None, None, None], y[None, None, :, None]
+
+
+def _fit(weighted: Tensor) -> Tensor:
     """Planes t = level + a x + b y (B,3,h,w) by weighted least squares, from the nine mean moments (B,9,h,w)."""
-    total, *others = moments.split(1, 1)
+    total, *others = weighted.split(1, 1)
     mx, my, mxx, mxy, myy, mt, mtx, mty = (m / (total + 1e-6) for m in others)
     xx, yy, xy = mxx - mx * mx + _RIDGE, myy - my * my + _RIDGE, mxy - mx * my
     tx, ty = mtx - mt * mx, mty - mt * my
     determinant = (xx * yy - xy * xy).clamp_min(_RIDGE**2 / 2)
     a, b = (tx * yy - ty * xy) / determinant, (ty * xx - tx * xy) / determinant
     return torch.cat([mt - a * mx - b * my, a, b], 1)
+
+
+def _intervals(difference: Tensor, interval: float) -> Tensor:
+    """A difference in t as the U-Net sees it: in intervals, large ones drawn together."""
+    apart = difference / interval
+    return apart.sign() * apart.abs().log1p() / 2
 
 
 def _enlarged(quarter: Tensor) -> Tensor:

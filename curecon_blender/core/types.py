@@ -95,7 +95,8 @@ class View:
 
     `K` (3,3) in pixels of the undistorted image, pixel centres at .5; `cam_from_world` (3,4), x right, y down,
     z forward; `near` and `far` bound the z-depth in world units; `sources` are (name, S_i) by falling matching
-    score (Algorithm 1). `overlaps` are all the views that share enough sparse points, for fusion.
+    score (Algorithm 1). `overlaps` are all the views that share enough sparse points, for fusion. `points` is how many
+    of the site's sparse points lie in the picture (sparse_points.py).
     """
 
     name: Annotated[str, FILE_NAME]
@@ -109,6 +110,7 @@ class View:
     sources: tuple[tuple[str, Annotated[float, Within(0, FARTHEST)]], ...]
     overlaps: tuple[str, ...] = ()
     original: str = ""  # the photo's own file, absolute path
+    points: Annotated[int, Within(0, 100_000_000)] = 0
 
     @property
     def centre(self) -> np.ndarray:

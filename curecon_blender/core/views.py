@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from . import images
+from . import images, sparse_points
 from .colmap_model import read_model
 from .errors import SparseError
 from .georeference import read_frame
@@ -38,6 +38,8 @@ def prepare_views(photo_set: PhotoSet, options: Options, workspace: Path, report
     components = []
     for index, (folder, model) in enumerate(zip(folders, models, strict=True)):
         neighbours = _neighbours(model)
+        points = np.array([point.xyz for point in model.points3D.values()]).reshape(-1, 3)
+        number = {point_id: row for row, point_id in enumerate(model.points3D)}
         views = []
         for image_id in sorted(model.reg_image_ids(), key=lambda i: model.images[i].name):
             image = model.images[image_id]
@@ -54,14 +56,19 @@ def prepare_views(photo_set: PhotoSet, options: Options, workspace: Path, report
             camera = model.cameras[image.camera_id]
             rgb, K = undistort(images.read_rgb(photo.path), camera, options.image_size)
             images.write_jpeg(workspace / picture, rgb)
+            pose = image.cam_from_world().matrix()
+            matched = np.zeros(len(points), bool)
+            matched[[number[p.point3D_id] for p in image.get_observation_points2D()]] = True
+            told = sparse_points.points_in(points, matched, K, pose, (rgb.shape[1], rgb.shape[0]))
+            sparse_points.write(workspace, image.name, told)
             near, far = depth_range(depths)
             scored = [(model.images[i].name, score) for i, score, _ in neighbours[image_id] if score > 0]
             shared = sorted(neighbours[image_id], key=lambda n: -n[2])[:OVERLAPS]
             views.append(View(
                 name=image.name, image=picture, width=rgb.shape[1], height=rgb.shape[0], K=K,
-                cam_from_world=image.cam_from_world().matrix(), near=near, far=far,
+                cam_from_world=pose, near=near, far=far,
                 sources=tuple(sorted(scored, key=lambda s: -s[1])[: max(options.source_views, 1)]),
-                overlaps=tuple(model.images[i].name for i, _, _ in shared), original=str(photo.path),
+                overlaps=tuple(model.images[i].name for i, _, _ in shared), original=str(photo.path), points=len(told),
             ))
         kept = {view.name for view in views}
         components.append(Component(

@@ -235,6 +235,30 @@ def _read_depth(folder: Path) -> None:
     assert depth.shape == confidence.shape == (4, 5)
 
 
+def _told() -> Any:
+    return replace(_view(), points=2)
+
+
+def _make_points(folder: Path) -> None:
+    from curecon_blender.core import sparse_points
+
+    sparse_points.write(folder, PHOTO, np.ones((2, 4), np.float32))
+
+
+def _points_cases(folder: Path) -> st.SearchStrategy[tuple[str, bytes]]:
+    name = f"undistorted/{PHOTO}.points.npz"
+    seed = {"points": ("<f4", (2, 4), np.ones((2, 4), "<f4").tobytes())}
+    return st.tuples(st.just(name), st.one_of(spoiled_bytes((folder / name).read_bytes()), archives(seed)))
+
+
+def _read_points(folder: Path) -> None:
+    from curecon_blender.core import refinement, sparse_points
+
+    found = sparse_points.read(folder, _told())
+    assert found.shape == (2, 4)
+    assert np.isfinite(refinement.rasterised(found, 1.0, 9.0, (32, 32))).all()
+
+
 # ---- the workspace's JSON
 
 def _make_workspace(folder: Path) -> None:
@@ -453,6 +477,7 @@ TARGETS = {
     "mesh": Target(_make_mesh, _ply_cases("mesh.ply"), _read_mesh),
     "removed": Target(_make_cloud, _removed_cases, _read_removed),
     "depth": Target(_make_depth, _depth_cases, _read_depth),
+    "points": Target(_make_points, _points_cases, _read_points),
     "views": Target(_make_workspace, _json_cases("views.json"), _read_views),
     "frame": Target(_make_workspace, _json_cases("sparse/0/frame.json"), _read_frame),
     "adjustment": Target(_make_workspace, _json_cases("sparse/0/adjustment.json"), _read_adjustment),
