@@ -70,7 +70,7 @@ def measure(width: int, height: int, sources: int, device: str, precision: str, 
             lambda level, *_: f"level {level}", network.regularisers_input)
         for level, regulariser in enumerate(network.regularisers):
             regulariser.forward = timed(lambda *_, level=level: f"level {level}", regulariser.forward)
-        network.refine = timed(lambda *_: "refinement", network.refine)  # type: ignore[method-assign]
+        network.estimate = timed(lambda *_: "refinement", network.estimate)  # type: ignore[method-assign]
         with PeakMemory() as before:
             pass
         with PeakMemory() as peak:

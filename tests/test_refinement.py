@@ -6,6 +6,7 @@ alone."""
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import torch
 
 from curecon_blender.core.refinement import (
@@ -13,11 +14,15 @@ from curecon_blender.core.refinement import (
     RADII,
     SIDES,
     STEP,
+    Proposal,
     Refinement,
+    choose,
     moments,
-    picture_candidates,
+    picture_planes,
+    plain_choice,
     rasterised,
-    window_candidates,
+    said,
+    window_planes,
 )
 
 INTERVAL = 1 / 400
@@ -29,13 +34,18 @@ def sloping(height: int, width: int) -> torch.Tensor:
     return (0.3 + 0.001 * columns - 0.0005 * rows)[None, None]
 
 
+def offered(planes: list[torch.Tensor]) -> torch.Tensor:
+    """What each plane says at the photo's pixels, (P,1,1,H,W)."""
+    return said(torch.stack(planes, 1), STEP)[0, :, None, None]
+
+
 def test_a_plane_goes_on_across_what_nobody_knows() -> None:
     truth = sloping(128, 192)
     quarter = torch.nn.functional.avg_pool2d(truth, STEP)
     weight = torch.ones_like(quarter)
     weight[..., 12:20, 20:28] = 0  # 32 pixels of the photo
     quarter = torch.where(weight > 0, quarter, 0.9)
-    found = torch.stack(window_candidates(moments(quarter) * weight, SIDES))
+    found = offered(window_planes(moments(quarter) * weight, SIDES))
     assert len(found) == len(RADII) * len(SIDES)
     hole = (found - truth)[..., 48:80, 80:112].abs()
     assert hole.amin(0).max() < INTERVAL  # every pixel of it has a window that says the plane
@@ -48,7 +58,7 @@ def test_two_planes_that_meet_are_both_offered_up_to_the_edge() -> None:
     quarter = torch.nn.functional.avg_pool2d(truth, STEP)
     weight = torch.ones_like(quarter)
     weight[..., 22:26] = 0
-    found = torch.stack(window_candidates(moments(quarter) * weight, SIDES))
+    found = offered(window_planes(moments(quarter) * weight, SIDES))
     assert (found - truth).abs().amin(0)[..., 88:104].max() < INTERVAL
 
 
@@ -57,8 +67,8 @@ def test_planes_across_the_picture_go_on_behind_what_stands_before_them() -> Non
     quarter = torch.nn.functional.avg_pool2d(truth, STEP)
     building = torch.zeros_like(quarter)
     building[..., 16:48] = 1
-    ground, facade = picture_candidates(moments(torch.where(building > 0, 0.9, quarter)),
-                                        torch.cat([1 - building, building], 1))
+    planes = picture_planes(moments(torch.where(building > 0, 0.9, quarter)), torch.cat([1 - building, building], 1))
+    ground, facade = offered([plane.expand(-1, -1, *quarter.shape[2:]) for plane in planes])
     assert (ground - truth).abs().max() < INTERVAL
     assert (facade - 0.9).abs().max() < INTERVAL
 
@@ -70,7 +80,7 @@ def test_points_in_a_hole_tell_of_the_surface_there() -> None:
     depth = 1 / (1 / near + truth[0, 0, rows, columns].numpy() * (1 / far - 1 / near))
     grid = torch.from_numpy(rasterised(np.column_stack([columns + 0.5, rows + 0.5, depth, np.zeros(200)]), near, far,
                                        (192, 128)))[None]
-    found = torch.stack(window_candidates(moments(grid[:, :1]) * grid[:, KINDS : KINDS + 1], SIDES[:1]))
+    found = offered(window_planes(moments(grid[:, :1]) * grid[:, KINDS : KINDS + 1], SIDES[:1]))
     assert (found[-1] - truth).abs().max() < 2 * INTERVAL
     assert not grid[:, KINDS + 1].any()  # the photo has matched none of them
 
@@ -85,10 +95,32 @@ def test_the_nearest_point_of_a_block_counts_and_none_from_outside() -> None:
     np.testing.assert_allclose([1 / (1 - t * 8 / 9) for t in (any_t, matched_t)], [2.0, 4.0], rtol=1e-5)
 
 
-def test_a_new_one_keeps_the_estimate() -> None:
-    t, image = sloping(64, 96), torch.rand(1, 3, 64, 96)
+def proposed(refinement: Refinement, t: torch.Tensor) -> Proposal:
     points = torch.from_numpy(rasterised(np.array([[50.0, 30.0, 2.0, 1.0]]), 1.0, 9.0, (96, 64)))[None]
-    refined = Refinement(8)(image, t, torch.full((1, 3, 64, 96), 0.9), INTERVAL, points)
+    found: Proposal = refinement(torch.rand(1, 3, 64, 96), t, torch.full((1, 3, 64, 96), 0.9), INTERVAL, points)
+    return found
+
+
+def test_a_new_one_keeps_the_estimate() -> None:
+    t = sloping(64, 96)
+    refined = plain_choice(t, proposed(Refinement(8), t), INTERVAL)
     assert (refined.t - t).abs().max() < INTERVAL
     assert refined.probability.argmax(1).eq(0).all()
     torch.testing.assert_close(refined.probability.sum(1), torch.ones(1, 64, 96))
+
+
+@pytest.mark.parametrize("decided", [0.3, 3.0])
+def test_the_fused_choice_is_the_plain_one(decided: float) -> None:
+    torch.manual_seed(0)
+    refinement = Refinement(8)
+    torch.nn.init.normal_(refinement.leave.weight, std=decided)
+    t = sloping(64, 96) + 0.02 * torch.randn(1, 1, 64, 96)
+    with torch.inference_mode():
+        proposal = proposed(refinement, t)
+        plain = plain_choice(t, proposal, INTERVAL)
+        fused_t, fused_sure = choose(t, proposal, INTERVAL)
+    torn = plain.probability.amax(1) < 0.5
+    assert 0.02 < torn.float().mean() < 0.98  # both ways of choosing are there
+    # Where a candidate lies just within reach of another, or just not, a last bit may decide.
+    assert ((fused_t - plain.t).abs() < 1e-5).float().mean() > 0.999
+    torch.testing.assert_close(fused_sure, plain.sure)

@@ -26,7 +26,7 @@ from torch import Tensor
 
 from curecon_blender.core.allocator import use_large_pages
 from curecon_blender.core.network import MULTIPLE, LCMMVSNet, full_shares, t_from_depth
-from curecon_blender.core.refinement import Refinement, rasterised
+from curecon_blender.core.refinement import Refinement, plain_choice, rasterised
 from curecon_blender.core.weights import SHIPPED
 from training.dataset import Sample, training_sample
 from training.generator import load
@@ -136,7 +136,8 @@ def step(state: State, crop: dict[str, Tensor], horizon: int) -> dict[str, float
     truth, valid, interval = crop["truth"], crop["valid"] > 0, float(crop["interval"])
     with torch.autocast("cpu", torch.bfloat16, enabled=BF16):
         refinement = cast(Refinement, state.network.refinement)
-        refined = refinement(crop["image"], crop["t"], crop["shares"], interval, crop["points"])
+        proposal = refinement(crop["image"], crop["t"], crop["shares"], interval, crop["points"])
+    refined = plain_choice(crop["t"], proposal, interval)
     value = refinement_loss(refined, truth, valid, interval)
     state.optimiser.zero_grad(set_to_none=True)
     value.backward()

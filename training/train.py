@@ -33,7 +33,7 @@ from torch import Tensor
 from curecon_blender.core.allocator import use_large_pages
 from curecon_blender.core.depth import choose_precision
 from curecon_blender.core.network import LCMMVSNet, NetworkConfig, t_from_depth
-from curecon_blender.core.refinement import rasterised
+from curecon_blender.core.refinement import plain_choice, rasterised
 from curecon_blender.core.weights import describe, load_network
 from training.dataset import Sample, training_sample
 from training.generator import load
@@ -195,11 +195,12 @@ def step(
     valid = (depth > 0) & (t >= 0) & (t < 1)
     with torch.autocast(depth.device.type, torch.bfloat16, enabled=bf16):
         outputs = state.network(*(batch[k] for k in ("images", "K", "cam_from_world", "near", "far", "scores")))
-        refined = (state.network.refine(batch["images"][:, 0], outputs, batch["points"])
-                   if state.network.config.refinement else None)
+        proposal = (state.network.refine(batch["images"][:, 0], outputs, batch["points"])
+                    if state.network.config.refinement else None)
     value = loss(outputs, t, valid, state.network.config.representation)
     estimate = outputs[-1].t
-    if refined is not None:
+    if proposal is not None:
+        refined = plain_choice(estimate.detach(), proposal, outputs[-1].interval)
         value = value + refinement_loss(refined, t, valid, outputs[-1].interval)
         estimate = refined.t
     state.optimiser.zero_grad(set_to_none=True)

@@ -8,22 +8,18 @@ of their time on moving the warped features of all hypotheses to and fro. tests/
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from math import exp
 from typing import Any
 
 import numpy as np
 import torch
-from numba import njit
 from torch import Tensor
 
-# What may be reordered; not that there are no NaNs, since a NaN must never become an index.
-_FAST = {"contract", "reassoc", "arcp", "nsz"}
-_compiled: Any = njit(nogil=True, fastmath=_FAST, error_model="numpy")
-_ZERO, _HALF, _ONE, _SMALL = np.float32(0), np.float32(0.5), np.float32(1), np.float32(1e-6)
+from .compiled import compiled, in_bands
 
+_ZERO, _HALF, _ONE, _SMALL = np.float32(0), np.float32(0.5), np.float32(1), np.float32(1e-6)
+_NOWHERE = np.float32(-9)  # a pixel outside every picture
 
 BAND_BYTES = 4 << 20  # of float32 costs that a thread makes at once: what fits the processor's cache
 
@@ -81,7 +77,7 @@ def _fill(volume: Tensor, arguments: tuple[Any, ...]) -> None:
                 _volume(*arguments, buffer, first, last)
                 volume[:, first:last] = torch.from_numpy(buffer[:, : last - first])
 
-    _in_bands(height, work)
+    in_bands(height, work)
 
 
 class _Fused(torch.autograd.Function):
@@ -110,23 +106,12 @@ class _Fused(torch.autograd.Function):
         # Places of a source take from many voxels: each band adds to its own copy.
         to_sources = np.zeros((bands, *arguments[1].shape), np.float32)
         to_scalars = np.zeros((bands, 2), np.float64)
-        _in_bands(h, lambda top, bottom, band: _gradients(
+        in_bands(h, lambda top, bottom, band: _gradients(
             *arguments, upstream, to_reference, to_sources[band], to_scalars[band], top, bottom))
         total, scalars = to_sources.sum(0), to_scalars.sum(0)
         spread = [torch.from_numpy(total[n, : s.shape[0] * s.shape[1]]).view(s.shape) for n, s in enumerate(sources)]
         return (torch.from_numpy(to_reference), alpha.new_tensor(scalars[0]), beta.new_tensor(scalars[1]),
                 None, None, None, *spread)
-
-
-def _in_bands(height: int, work: Callable[[int, int, int], None]) -> None:
-    """`work(top, bottom, band)` over as many bands of rows as torch may use threads."""
-    bands = torch.get_num_threads()
-    edges = [height * band // bands for band in range(bands + 1)]
-    if bands == 1:
-        work(0, height, 0)
-        return
-    with ThreadPoolExecutor(bands) as pool:
-        list(pool.map(work, edges[:-1], edges[1:], range(bands)))
 
 
 def _arguments(
@@ -145,7 +130,7 @@ def _arguments(
             np.float32(alpha.item()), np.float32(beta.item()), visibility)
 
 
-@_compiled
+@compiled
 def _taps(u: Any, v: Any, height: Any, width: Any) -> Any:
     """Bilinear interpolation at (u, v), pixel centres at 0: four places and their shares, those outside zero."""
     left, top = np.floor(u), np.floor(v)
@@ -167,7 +152,7 @@ def _taps(u: Any, v: Any, height: Any, width: Any) -> Any:
             left_share * bottom_share, right_share * bottom_share)
 
 
-@_compiled
+@compiled
 def _volume(
     reference: Any, sources: Any, sizes: Any, rotated: Any, shifted: Any, inverse_depth: Any, weights: Any, alpha: Any,
     beta: Any, visibility: Any, volume: Any, top: Any, bottom: Any,
@@ -176,29 +161,32 @@ def _volume(
     width, channels = reference.shape[1:]
     groups = volume.shape[3]
     each = channels // groups
-    total, product = np.empty(channels, np.float32), np.empty(channels, np.float32)
+    count = inverse_depth.shape[0]
+    sharpness = beta / np.float32(groups)
+    total, product = np.empty((count, channels), np.float32), np.empty(channels, np.float32)
+    norm, column, row = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
     for y in range(top, bottom):
         for x in range(width):
             pixel = y * width + x
-            for m in range(inverse_depth.shape[0]):
-                nearness = inverse_depth[m, y, x]
-                for c in range(channels):
-                    total[c] = _ZERO
-                norm = _ZERO
-                for n in range(sources.shape[0]):
-                    z = rotated[n, 2, pixel] + shifted[n, 2] * nearness
-                    seen = z > _SMALL
-                    u = v = _ZERO
-                    if seen:
-                        u = (rotated[n, 0, pixel] + shifted[n, 0] * nearness) / z - _HALF
-                        v = (rotated[n, 1, pixel] + shifted[n, 1] * nearness) / z - _HALF
-                        seen = (u > -_HALF and v > -_HALF
-                                and u < np.float32(sizes[n, 1]) - _HALF and v < np.float32(sizes[n, 0]) - _HALF)
-                    if not seen:
+            total[:] = _ZERO
+            norm[:] = _ZERO
+            for n in range(sources.shape[0]):
+                u0, v0, z0 = rotated[n, 0, pixel], rotated[n, 1, pixel], rotated[n, 2, pixel]
+                height_n, width_n = sizes[n, 0], sizes[n, 1]
+                bottom_n, right_n = np.float32(height_n) - _HALF, np.float32(width_n) - _HALF
+                # Where a source sees all the hypotheses, first: a loop of its own runs in vector registers.
+                for m in range(count):
+                    nearness = inverse_depth[m, y, x]
+                    z = z0 + shifted[n, 2] * nearness
+                    column[m] = (u0 + shifted[n, 0] * nearness) / z - _HALF if z > _SMALL else _NOWHERE
+                    row[m] = (v0 + shifted[n, 1] * nearness) / z - _HALF if z > _SMALL else _NOWHERE
+                for m in range(count):
+                    u, v = column[m], row[m]
+                    if not (u > -_HALF and v > -_HALF and u < right_n and v < bottom_n):
                         if not visibility:
-                            norm += weights[n]
+                            norm[m] += weights[n]
                         continue
-                    p0, p1, p2, p3, s0, s1, s2, s3 = _taps(u, v, sizes[n, 0], sizes[n, 1])
+                    p0, p1, p2, p3, s0, s1, s2, s3 = _taps(u, v, height_n, width_n)
                     agreement = _ZERO
                     for c in range(channels):
                         value = reference[y, x, c] * (s0 * sources[n, p0, c] + s1 * sources[n, p1, c]
@@ -207,19 +195,20 @@ def _volume(
                         agreement += value
                     weight = weights[n]
                     if visibility:
-                        weight *= np.float32(exp(beta * agreement / np.float32(groups)))
-                    norm += weight
+                        weight *= np.float32(exp(sharpness * agreement))
+                    norm[m] += weight
                     for c in range(channels):
-                        total[c] += weight * product[c]
-                scale = alpha / max(norm, _SMALL)
+                        total[m, c] += weight * product[c]
+            for m in range(count):
+                scale = alpha / max(norm[m], _SMALL)
                 for g in range(groups):
                     group = _ZERO
                     for c in range(g * each, (g + 1) * each):
-                        group += total[c]
+                        group += total[m, c]
                     volume[m, y - top, x, g] = group * scale
 
 
-@_compiled
+@compiled
 def _gradients(
     reference: Any, sources: Any, sizes: Any, rotated: Any, shifted: Any, inverse_depth: Any, weights: Any, alpha: Any,
     beta: Any, visibility: Any, upstream: Any, to_reference: Any, to_sources: Any, to_scalars: Any, top: Any,

@@ -23,6 +23,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from .fused_choice import fused_choice
+
 STEP = 4  # pixels of the photo to one of the U-Net's
 RADII = (2, 5, 12)  # of the windows, in pixels of a quarter
 SIDES = ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))  # where a window lies from its pixel, x and y
@@ -36,6 +38,16 @@ _COORDINATE = 50.0  # pixels of a quarter to one unit of the fits' coordinates, 
 _LEAST = 1e-5  # weight of a pixel that is not sure at all
 _RIDGE = 1e-4  # of a window's spread, in those units squared: a window with one sure pixel gives a level plane
 _WIDTHS = (1, 2, 2, 2)  # of the U-Net at each scale, times its channels
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """`planes` (B,P,3,h,w): level, slope along x and along y of what each plane says at a quarter's pixel, in the
+    coordinates of _grid; `votes` (B,(P+3)*16,h,w), for the 16 pixels of each block: logits of the candidates (the
+    pixel's own estimate first), of a shift within an interval, and of how sure the choice is."""
+
+    planes: Tensor
+    votes: Tensor
 
 
 @dataclass(frozen=True)
@@ -72,7 +84,7 @@ class Refinement(nn.Module):
             self.leave.bias.zero_()  # type: ignore[union-attr]
             self.leave.bias[: STEP**2] = 3.0  # type: ignore[index]
 
-    def forward(self, image: Tensor, t: Tensor, shares: Tensor, interval: float, points: Tensor) -> Refined:
+    def forward(self, image: Tensor, t: Tensor, shares: Tensor, interval: float, points: Tensor) -> Proposal:
         """From the reference's colours (B,3,H,W) in [0, 1], the cascade's t (B,1,H,W), its three shares (B,3,H,W) by
         level 0, 1, 2, the finest level's interval in t, and sparse points (B,2*KINDS,h,w) as `rasterised` has them. H
         and W must divide by 32."""
@@ -89,11 +101,11 @@ class Refinement(nn.Module):
         plane_terms = moments(quarter)
         point_terms = sum(moments(point_t[:, i : i + 1]) * (there[:, i : i + 1] * weight)
                           for i, weight in enumerate(point_weights))
-        candidates = torch.cat([
-            t, *window_candidates(plane_terms * (pixel_weight * surety + _LEAST) + point_terms, SIDES),
-            *window_candidates(plane_terms * _LEAST + point_terms, SIDES[:1]),
+        planes = torch.stack([
+            *window_planes(plane_terms * (pixel_weight * surety + _LEAST) + point_terms, SIDES),
+            *window_planes(plane_terms * _LEAST + point_terms, SIDES[:1]),
         ], 1)
-        apart = _intervals(F.avg_pool2d(candidates[:, 1:], STEP) - quarter, interval)
+        apart = _intervals(said(planes, 1) - quarter, interval)
         x = self.enter(torch.cat([seen, worth.clamp(-4, 4) / 4, apart], 1))
         skips = []
         for scale, at in enumerate(self.at):
@@ -103,13 +115,28 @@ class Refinement(nn.Module):
         for up, merge in zip(self.up, self.merge, strict=True):
             x = merge(up(x) + skips.pop())
         belonging = torch.sigmoid(self.belong(x).float()) * surety + _LEAST
-        candidates = torch.cat([candidates, *picture_candidates(plane_terms, belonging)], 1)
-        choice, offset, sure = F.pixel_shuffle(self.leave(x).float(), STEP).split([CANDIDATES, 1, 1], 1)
-        probability = torch.softmax(choice, 1)
-        likeliest = candidates.gather(1, _choice(candidates, probability, ALIKE * interval))
-        alike = ((candidates - likeliest).abs() < ALIKE * interval) * probability
-        mean = (alike * candidates).sum(1, keepdim=True) / alike.sum(1, keepdim=True)
-        return Refined((mean + interval * torch.tanh(offset)).clamp(0, 1), sure, candidates, probability)
+        across = torch.stack(picture_planes(plane_terms, belonging), 1).expand(-1, -1, -1, *quarter.shape[2:])
+        return Proposal(torch.cat([planes, across], 1), self.leave(x).float())
+
+
+def choose(t: Tensor, proposal: Proposal, interval: float) -> tuple[Tensor, Tensor]:
+    """t and sure, as `Refined` has them, of the cascade's t (B,1,H,W) and what the refinement proposes; without
+    gradients."""
+    if t.device.type == "cpu":
+        return fused_choice(t, proposal.planes, proposal.votes, interval, ALIKE * interval, _COORDINATE)
+    refined = plain_choice(t, proposal, interval)
+    return refined.t, refined.sure
+
+
+def plain_choice(t: Tensor, proposal: Proposal, interval: float) -> Refined:
+    """What `choose` says, and what it rests on, in torch's own operations: for graphics cards and for training."""
+    candidates = torch.cat([t, said(proposal.planes, STEP)], 1)
+    choice, offset, sure = F.pixel_shuffle(proposal.votes, STEP).split([CANDIDATES, 1, 1], 1)
+    probability = torch.softmax(choice, 1)
+    likeliest = candidates.gather(1, _choice(candidates, probability, ALIKE * interval))
+    alike = ((candidates - likeliest).abs() < ALIKE * interval) * probability
+    mean = (alike * candidates).sum(1, keepdim=True) / alike.sum(1, keepdim=True)
+    return Refined((mean + interval * torch.tanh(offset)).clamp(0, 1), sure, candidates, probability)
 
 
 def rasterised(points: np.ndarray, near: float, far: float, size: tuple[int, int]) -> np.ndarray:
@@ -144,17 +171,13 @@ def _choice(candidates: Tensor, probability: Tensor, reach: float) -> Tensor:
 
 def moments(t: Tensor) -> Tensor:
     """What a fit of planes to a quarter's t (B,1,h,w) sums up, (B,9,h,w): 1, x, y, xx, xy, yy, t, tx, ty."""
-    h, w = t.shape[2:]
-    rows, columns = (torch.arange(n, device=t.device, dtype=t.dtype) / _COORDINATE for n in (h, w))
-    y, x = (a[None, None] for a in torch.meshgrid(rows, columns, indexing="ij"))
+    x, y = _grid(t, 1)
     return torch.cat([a.expand_as(t) for a in (torch.ones_like(t), x, y, x * x, x * y, y * y)] + [t, t * x, t * y], 1)
 
 
-def window_candidates(weighted: Tensor, sides: tuple[tuple[int, int], ...]) -> list[Tensor]:
-    """What the planes of the windows to some sides of each pixel say there, each (B,1,4h,4w), from weighted moments
-    (B,9,h,w)."""
+def window_planes(weighted: Tensor, sides: tuple[tuple[int, int], ...]) -> list[Tensor]:
+    """The planes (B,3,h,w) of the windows to some sides of each pixel, from weighted moments (B,9,h,w)."""
     h, w = weighted.shape[2:]
-    x, y = _fine(weighted)
     found = []
     for radius in RADII:
         width = 2 * radius + 1
@@ -164,26 +187,30 @@ def window_candidates(weighted: Tensor, sides: tuple[tuple[int, int], ...]) -> l
         around = F.pad(plane, (aside,) * 4, mode="replicate")
         for dx, dy in sides:
             top, left = aside * (1 + dy), aside * (1 + dx)
-            level, along_x, along_y = _enlarged(around[:, :, top : top + h, left : left + w]).split(1, 1)
-            found.append((level + along_x * x + along_y * y).clamp(0, 1))
+            found.append(around[:, :, top : top + h, left : left + w])
     return found
 
 
-def picture_candidates(plane_terms: Tensor, weights: Tensor) -> list[Tensor]:
-    """What planes across the whole picture say, each (B,1,4h,4w): one for each of the weights (B,P,h,w) of its moments
-    (B,9,h,w)."""
-    x, y = _fine(plane_terms)
-    found = []
-    for weight in weights.split(1, 1):
-        level, along_x, along_y = _fit((plane_terms * weight).mean((2, 3), keepdim=True)).split(1, 1)
-        found.append((level + along_x * x + along_y * y).clamp(0, 1))
-    return found
+def picture_planes(plane_terms: Tensor, weights: Tensor) -> list[Tensor]:
+    """Planes (B,3,1,1) across the whole picture: one for each of the weights (B,P,h,w) of its moments (B,9,h,w)."""
+    return [_fit((plane_terms * weight).mean((2, 3), keepdim=True)) for weight in weights.split(1, 1)]
 
 
-def _fine(quarter: Tensor) -> tuple[Tensor, Tensor]:
-    """x and y of the photo's pixels, (1,1,1,4w) and (1,1,4h,1), in the coordinates of a quarter's fits."""
-    y, x = (((torch.arange(n * STEP, device=quarter.device, dtype=quarter.dtype) + 0.5) / STEP - 0.5) / _COORDINATE
-            for n in quarter.shape[2:])
+def said(planes: Tensor, step: int) -> Tensor:
+    """What planes (B,P,3,h,w) say, (B,P,h*step,w*step), at the centres of the step x step parts of a quarter's
+    pixels."""
+    x, y = _grid(planes, step)
+    values = []
+    for plane in planes.unbind(1):
+        level, along_x, along_y = F.interpolate(plane, scale_factor=float(step), mode="nearest").split(1, 1)
+        values.append((level + along_x * x + along_y * y).clamp(0, 1))
+    return torch.cat(values, 1)
+
+
+def _grid(quarter: Tensor, step: int) -> tuple[Tensor, Tensor]:
+    """x and y, (1,1,1,w*step) and (1,1,h*step,1), of the parts of a quarter's pixels in the coordinates of its fits."""
+    y, x = (((torch.arange(n * step, device=quarter.device, dtype=quarter.dtype) + 0.5) / step - 0.5) / _COORDINATE
+            for n in quarter.shape[-2:])
     return x[None, None, None], y[None, None, :, None]
 
 
