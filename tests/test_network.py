@@ -161,7 +161,12 @@ def test_matching_score_of_one_point_by_hand(angle: float, score: float) -> None
 def test_depth_range_holds_the_points_and_shrugs_off_a_stray_one() -> None:
     depths = np.concatenate([np.linspace(10, 20, 999), [5000.0]])
     near, far = depth_range(depths)
-    assert near < 10 and 20 < far < 30
+    assert near < 10 and 20 < far < 40
+
+
+def test_depth_range_reaches_ground_beyond_the_farthest_point() -> None:
+    near, far = depth_range(np.linspace(30, 150, 500))
+    assert far > 600 and (1 / near - 1 / far) < 1.5 * (1 / 30 - 1 / 150)  # cheap in inverse depth
 
 
 def test_the_shipped_weights_find_the_depth_of_a_scene(tmp_path: Path) -> None:

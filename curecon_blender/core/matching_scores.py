@@ -29,8 +29,8 @@ def depth_range(depths: np.ndarray) -> tuple[float, float]:
     margin of 20 % of the nearest and farthest depth for what has no sparse point.
 
     Open ground towards the horizon has few points, and hypotheses uniform in inverse depth reach it cheaply: where the
-    range is deep, the margin at its far end is a fifth of the sweep, up to four times the farthest depth.
+    range is deep, the margin at its far end is two fifths of the points' own, up to six times the farthest depth.
     """
     near, far = np.percentile(depths, [1.0, 99.0])
-    beyond = 1 / max(1 / far - 0.2 * (1 / near - 1 / far), 1 / (4 * far))
+    beyond = 1 / max(1 / far - 0.4 * (1 / near - 1 / far), 1 / (6 * far))
     return float(near / 1.2), float(max(far * 1.2, beyond))
