@@ -416,3 +416,6 @@ def test_every_method_of_the_validation_finds_the_box(method: str, metres: float
     found = answer("validation", tmp_path, "--methods", method, "--references", 1)[method]
     assert found["errors"]["median"] < metres and found["errors"]["coverage"] > 50
     assert found["observed"]["e3"] <= found["errors"]["e3"]  # what sources see is measured better than what is guessed
+    if method == "network":
+        untold = answer("validation", tmp_path, "--methods", method, "--references", 1, "--without-points")[method]
+        assert untold["errors"]["median"] < metres and untold["errors"] != found["errors"]

@@ -25,9 +25,11 @@ from PIL import Image
 
 from curecon_blender.core.weights import load_network
 from training import build_assets, generator
-from training.assets import Assets
+from training.assets import Assets, overcast_texture
+from training.cameras import draw_rig
 from training.dataset import Sample, training_sample
 from training.generator import Scene
+from training.scene import compose
 from training.train import State, batch_tensors, bf16_gains, restart, save, start, step
 
 ASSETS = ROOT.parent / "shared" / "data" / "training"
@@ -156,6 +158,41 @@ def test_rendered_scenes_are_geometrically_exact() -> None:
             assert np.median(relative[relative < 0.05]) < 0.01
             checked += 1
     assert checked
+
+
+def test_plain_walls_lose_their_pattern_and_keep_their_shape() -> None:
+    from training.generator import Generator
+
+    made = Generator(ASSETS)
+    rng = np.random.default_rng(3)
+    world = compose(made.assets, rng, held_out=True)
+    rig = draw_rig(rng, "orbit", world, 1, (192, 144))
+    plain = replace(world, instances=tuple(replace(i, contrast=0.0) for i in world.instances))
+    pictures, depths = [], []
+    for each in (world, plain):
+        made.renderer.upload(each)
+        picture, depth = made.renderer.render(rig.K[0], rig.cam_from_world[0], (192, 144))
+        pictures.append(picture.astype(float))
+        depths.append(depth)
+    np.testing.assert_array_equal(*depths)
+    surface = depths[0][:, 1:] * depths[0][:, :-1] > 0
+    steps = [np.abs(np.diff(picture, axis=1)).mean(2)[surface] for picture in pictures]
+    assert np.median(steps[1]) < 0.5 * np.median(steps[0])
+
+
+def test_training_has_overcast_skies_and_plain_walls_and_held_out_scenes_have_not() -> None:
+    assets = Assets(ASSETS)
+    skies: dict[bool, list[bool]] = {True: [], False: []}
+    contrasts: dict[bool, list[float]] = {True: [], False: []}
+    for seed in range(12):
+        for held_out in (True, False):
+            world = compose(assets, np.random.default_rng(seed), held_out)
+            skies[held_out].append(world.light.sky.startswith("overcast"))
+            contrasts[held_out].append(min(i.contrast for i in world.instances))
+    assert 1 < sum(skies[False]) < 11 and not any(skies[True])
+    assert min(contrasts[False]) < 0.5 and max(contrasts[False]) == 1 and min(contrasts[True]) == 1
+    sky = overcast_texture(3)
+    assert sky.std() < 20 and sky.mean() > 150  # bright, and nothing in it
 
 
 def test_two_processes_train_one_network_and_stop_together(scene: Scene, tmp_path: Path) -> None:
