@@ -8,6 +8,7 @@ import numpy as np
 
 BEST_ANGLE = 5.0  # theta0, degrees
 SIGMA_BELOW, SIGMA_ABOVE = 1.0, 10.0  # degrees
+BEYOND = 0.4  # of the points' own range, in inverse depth: how much further a deep sweep goes on
 
 
 def matching_score(centre_ref: np.ndarray, centre_src: np.ndarray, points: np.ndarray) -> float:
@@ -32,5 +33,5 @@ def depth_range(depths: np.ndarray) -> tuple[float, float]:
     range is deep, the margin at its far end is two fifths of the points' own, up to six times the farthest depth.
     """
     near, far = np.percentile(depths, [1.0, 99.0])
-    beyond = 1 / max(1 / far - 0.4 * (1 / near - 1 / far), 1 / (6 * far))
+    beyond = 1 / max(1 / far - BEYOND * (1 / near - 1 / far), 1 / (6 * far))
     return float(near / 1.2), float(max(far * 1.2, beyond))

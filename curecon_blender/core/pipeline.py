@@ -150,6 +150,7 @@ class _Job:
 
     def views(self) -> None:
         from . import cost
+        from .matching_scores import BEYOND
         from .views import prepare_views
 
         def run() -> None:
@@ -159,7 +160,8 @@ class _Job:
             components_file.write(root, found)
 
         root = self.workspace.root
-        inputs = {"image_size": self.options.image_size, "sources": self.options.source_views, "points": True}
+        inputs = {"image_size": self.options.image_size, "sources": self.options.source_views, "points": True,
+                  "beyond": BEYOND}
         self._stage("views", inputs, run, [components_file.FILE_NAME, "undistorted/*"])
         self.components = self._following_the_photos(components_file.read(root))
 
