@@ -118,15 +118,31 @@ class _Conv3d(nn.Conv3d):
 
 class _Doubling(nn.ConvTranspose3d):
     """Twice the size in all three directions. Its blocks of 2x2x2 do not overlap, so it is one product of matrices: a
-    third of the time of torch's own loop for one sample on a CPU, and laid out channels-last, as what follows wants."""
+    third of the time of torch's own loop for one sample on a CPU."""
 
     def forward(self, input: Tensor, output_size: list[int] | None = None) -> Tensor:
         b, _, m, h, w = input.shape
+        return self.blocks(input).reshape(b, 2 * m, 2 * h, 2 * w, -1).permute(0, 4, 1, 2, 3)
+
+    def blocks(self, input: Tensor) -> Tensor:
+        """From (B,C,m,h,w): each voxel's block where it belongs, (B,m,2,h,2,w,2*K), two neighbours along a row together
+        with their K channels."""
         weight = self.weight.permute(2, 3, 4, 1, 0).flatten(0, 3)
         bias = None if self.bias is None else self.bias.repeat(8)
-        # Two neighbours along a row stay together with their channels, and are moved as one.
-        blocks = F.linear(input.permute(0, 2, 3, 4, 1), weight, bias).view(b, m, h, w, 2, 2, -1)
-        return blocks.permute(0, 1, 4, 2, 5, 3, 6).reshape(b, 2 * m, 2 * h, 2 * w, -1).permute(0, 4, 1, 2, 3)
+        blocks = F.linear(input.permute(0, 2, 3, 4, 1), weight, bias)
+        return blocks.unflatten(-1, (2, 2, -1)).permute(0, 1, 4, 2, 5, 3, 6)
+
+
+def _raised(up: nn.Sequential, x: Tensor, skip: Tensor) -> Tensor:
+    """x doubled, and added to what is there at its size: in place where nothing else needs it and the layout allows, or
+    three volumes of full size would stand beside each other."""
+    if (torch.is_grad_enabled() or not isinstance(up[1], nn.Identity)
+            or not skip.is_contiguous(memory_format=torch.channels_last_3d)):
+        raised: Tensor = up(x) + skip
+        return raised
+    blocks = up[2](cast(_Doubling, up[0]).blocks(x))
+    skip.permute(0, 2, 3, 4, 1).view(blocks.shape).add_(blocks)
+    return skip
 
 
 def _conv3d(inputs: int, outputs: int, stride: int = 1) -> nn.Sequential:
@@ -189,12 +205,16 @@ class CostRegulariser(nn.Module):
         nn.init.constant_(self.leave.bias, -2.5)  # type: ignore[arg-type]  # most hypotheses are wrong
 
     def forward(self, cost: Tensor) -> Tensor:
-        skips = [self.enter(cost)]
+        return self.decide(self.enter(cost))
+
+    def decide(self, entered: Tensor) -> Tensor:
+        """The logits, from what `enter` makes of a cost volume; without gradients that may be overwritten."""
+        skips = [entered]
         for down in self.down:
             skips.append(down(skips[-1]))
         x = skips.pop()
         for up in reversed(self.up):
-            x = up(x) + skips.pop()
+            x = _raised(cast(nn.Sequential, up), x, skips.pop())
         logits: Tensor = self.leave(x).squeeze(1)
         return logits
 
@@ -400,11 +420,12 @@ class LCMMVSNet(nn.Module):
             else:
                 first = torch.zeros(reference[level].shape[0], 1, h, w, device=reference[level].device)
             steps = (torch.arange(m, device=first.device, dtype=first.dtype).view(1, m, 1, 1) + middle) * interval
-            # Nothing of what made the regulariser's input is kept while the regulariser works.
-            logits: Tensor = self.regularisers[level](self.regularisers_input(
+            regulariser = cast(CostRegulariser, self.regularisers[level])
+            # Nothing of what made the cost volume is kept while it enters, nor the volume while the rest works.
+            logits = regulariser.decide(regulariser.enter(self.regularisers_input(
                 level, reference[level], [source[level] for source in sources], K, cam_from_world, weights,
                 1.0 / depth_from_t(first + steps, near, far),
-            )).float()
+            ))).float()
             decode = decode_linear if config.representation == "linear" else decode_unified
             outputs.append(LevelOutput(logits, first, interval, *decode(logits, first, interval)))
         return outputs
