@@ -53,3 +53,21 @@ def test_no_sky_where_one_looks_down_or_where_the_depth_is_sure(
     picture, confidence, _ = photo
     assert not sky_mask(picture, confidence, K, DOWN).any()
     assert not sky_mask(picture, np.full_like(confidence, 0.9), K, LEVEL).any()
+
+
+def test_a_pale_wall_that_the_network_is_unsure_of_is_no_sky(photo: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    picture, confidence, sky = photo
+    wall = np.s_[102:153, 162:238]
+    picture[wall], confidence[wall] = [205, 212, 225], 0.4  # in shade, as blue as a cloud
+    found = sky_mask(picture, confidence, K, LEVEL)
+    assert found[sky].mean() > 0.98 and not found[wall].any()
+
+
+def test_a_camera_held_on_its_side_sees_its_sky_beyond_another_edge(
+    photo: tuple[np.ndarray, np.ndarray, np.ndarray]
+) -> None:
+    picture, confidence, sky = (np.rot90(each).copy() for each in photo)
+    turned = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]) @ LEVEL  # what was up now lies to the left
+    confidence = np.where(sky, 0.4, confidence)
+    found = sky_mask(picture, confidence, np.array([[350.0, 0, HEIGHT / 2], [0, 350.0, WIDTH / 2], [0, 0, 1]]), turned)
+    assert found[sky].mean() > 0.98
