@@ -69,8 +69,8 @@ def measure(width: int, height: int, sources: int, device: str, precision: str, 
         network.regularisers_input = timed(  # type: ignore[method-assign]
             lambda level, *_: f"level {level}", network.regularisers_input)
         for level, regulariser in enumerate(network.regularisers):
-            regulariser.decide = timed(lambda *_, level=level: f"level {level}", regulariser.decide)
-            regulariser.enter.forward = timed(lambda *_, level=level: f"level {level}", regulariser.enter.forward)
+            for part in (regulariser.enter, regulariser):
+                part.forward = timed(lambda *_, level=level: f"level {level}", part.forward)
         network.estimate = timed(lambda *_: "refinement", network.estimate)  # type: ignore[method-assign]
         with PeakMemory() as before:
             pass

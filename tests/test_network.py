@@ -162,6 +162,7 @@ def test_depth_range_holds_the_points_and_shrugs_off_a_stray_one() -> None:
     depths = np.concatenate([np.linspace(10, 20, 999), [5000.0]])
     near, far = depth_range(depths)
     assert near < 10 and 20 < far < 40
+    assert (near, far) == pytest.approx(depth_range(depths[:-1]), rel=0.01)
 
 
 def test_depth_range_reaches_ground_beyond_the_farthest_point() -> None:

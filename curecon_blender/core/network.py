@@ -186,7 +186,7 @@ class FeaturePyramid(nn.Module):
 
 
 class CostRegulariser(nn.Module):
-    """Four-scale 3D U-Net: cost volume (B,K,M,h,w) to logits (B,M,h,w). M, h and w must divide by 8."""
+    """Four-scale 3D U-Net: cost volume (B,K,M,h,w), by way of `enter`, to logits (B,M,h,w). M, h, w must divide by 8."""
 
     def __init__(self, inputs: int, base: int) -> None:
         super().__init__()
@@ -204,10 +204,7 @@ class CostRegulariser(nn.Module):
         self.leave = _Conv3d(c[0], 1, 3, padding=1)
         nn.init.constant_(self.leave.bias, -2.5)  # type: ignore[arg-type]  # most hypotheses are wrong
 
-    def forward(self, cost: Tensor) -> Tensor:
-        return self.decide(self.enter(cost))
-
-    def decide(self, entered: Tensor) -> Tensor:
+    def forward(self, entered: Tensor) -> Tensor:
         """The logits, from what `enter` makes of a cost volume; without gradients that may be overwritten."""
         skips = [entered]
         for down in self.down:
@@ -422,7 +419,7 @@ class LCMMVSNet(nn.Module):
             steps = (torch.arange(m, device=first.device, dtype=first.dtype).view(1, m, 1, 1) + middle) * interval
             regulariser = cast(CostRegulariser, self.regularisers[level])
             # Nothing of what made the cost volume is kept while it enters, nor the volume while the rest works.
-            logits = regulariser.decide(regulariser.enter(self.regularisers_input(
+            logits: Tensor = regulariser(regulariser.enter(self.regularisers_input(
                 level, reference[level], [source[level] for source in sources], K, cam_from_world, weights,
                 1.0 / depth_from_t(first + steps, near, far),
             ))).float()
