@@ -186,7 +186,7 @@ class FeaturePyramid(nn.Module):
 
 
 class CostRegulariser(nn.Module):
-    """Four-scale 3D U-Net: cost volume (B,K,M,h,w), by way of `enter`, to logits (B,M,h,w). M, h, w must divide by 8."""
+    """Four-scale 3D U-Net: cost volume (B,K,M,h,w), by way of `enter`, to logits (B,M,h,w). M, h, w divide by 8."""
 
     def __init__(self, inputs: int, base: int) -> None:
         super().__init__()
