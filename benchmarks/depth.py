@@ -23,17 +23,17 @@ from typing import Any
 
 import numpy as np
 
-from curecon_blender.core.allocator import use_large_pages
+from curecon_blender.core.base.allocator import use_large_pages
 
 
 def measure(width: int, height: int, sources: int, device: str, precision: str, memory_gib: float | None) -> None:
     """Print one row: CPU seconds by step, wall seconds, and peak memory above what was there before."""
-    from curecon_blender.core import images
-    from curecon_blender.core.depth import DepthEstimator, plan_tiles
-    from curecon_blender.core.options import Options
-    from curecon_blender.core.pipeline import PeakMemory
-    from curecon_blender.core.types import View
-    from curecon_blender.core.weights import load_network
+    from curecon_blender.core.base import images
+    from curecon_blender.core.base.options import Options
+    from curecon_blender.core.base.records import View
+    from curecon_blender.core.depth.estimate import DepthEstimator, plan_tiles
+    from curecon_blender.core.network.weights import load_network
+    from curecon_blender.core.run.pipeline import PeakMemory
 
     def views_of(w: int, h: int, folder: Path) -> list[View]:
         views = []

@@ -18,8 +18,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
 
-from .core.errors import NO_MEMORY, Cancelled, CuReconError, OutOfMemory
-from .core.messages import (
+from .core.base.errors import NO_MEMORY, Cancelled, CuReconError, OutOfMemory
+from .core.base.messages import (
     Failure,
     Log,
     Message,

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from curecon_blender.core import components
-from curecon_blender.core.errors import SparseError, WorkspaceError
+from curecon_blender.core.base.errors import SparseError, WorkspaceError
+from curecon_blender.core.views import record as components
 
 
 @dataclass(frozen=True)

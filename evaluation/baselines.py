@@ -22,13 +22,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from curecon_blender.core import components, images
-from curecon_blender.core.errors import CuReconError, WorkspaceError
-from curecon_blender.core.files import atomic_write, disk_errors
-from curecon_blender.core.fusion import NoPointsError, fuse
-from curecon_blender.core.messages import Message, Progress, Reporter, Warning
-from curecon_blender.core.options import Options
-from curecon_blender.core.types import View
+from curecon_blender.core.base import images
+from curecon_blender.core.base.errors import CuReconError, WorkspaceError
+from curecon_blender.core.base.files import atomic_write, disk_errors
+from curecon_blender.core.base.messages import Message, Progress, Reporter, Warning
+from curecon_blender.core.base.options import Options
+from curecon_blender.core.base.records import View
+from curecon_blender.core.cloud.fuse import NoPointsError, fuse
+from curecon_blender.core.views import record as components
 
 from .plane_sweep import sweep
 

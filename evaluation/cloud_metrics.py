@@ -28,8 +28,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from curecon_blender.core.errors import CuReconError, WorkspaceError
-from curecon_blender.core.ply import read_cloud
+from curecon_blender.core.base.errors import CuReconError, WorkspaceError
+from curecon_blender.core.cloud.ply import read_cloud
 
 from .alignment import align_cameras, read_centres
 

@@ -26,7 +26,7 @@ from pathlib import Path
 
 import numpy as np
 
-from curecon_blender.core.errors import CuReconError, WorkspaceError
+from curecon_blender.core.base.errors import CuReconError, WorkspaceError
 
 INTERVALS = 128
 SUFFIXES = (".npz", ".npy", ".pfm")

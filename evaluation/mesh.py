@@ -21,8 +21,8 @@ from pathlib import Path
 
 import numpy as np
 
-from curecon_blender.core.errors import CuReconError
-from curecon_blender.core.mesh import Mesh, filled_share, read_mesh
+from curecon_blender.core.base.errors import CuReconError
+from curecon_blender.core.surface.mesh import Mesh, filled_share, read_mesh
 
 from . import cloud_metrics
 from .alignment import align_cameras, read_centres

@@ -19,8 +19,8 @@ import numpy as np
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from curecon_blender.core.errors import CuReconError, WorkspaceError
-from curecon_blender.core.images import SUFFIXES
+from curecon_blender.core.base.errors import CuReconError, WorkspaceError
+from curecon_blender.core.base.images import SUFFIXES
 
 
 def read_camera(path: Path) -> tuple[np.ndarray, np.ndarray]:

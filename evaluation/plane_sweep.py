@@ -13,7 +13,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from curecon_blender.core.types import View
+from curecon_blender.core.base.records import View
 
 PLANES = 128
 WINDOW = 7  # pixels

@@ -28,10 +28,10 @@ from typing import Any
 
 import numpy as np
 
-from curecon_blender.core import components
-from curecon_blender.core.errors import CuReconError, WorkspaceError
-from curecon_blender.core.options import Options
-from curecon_blender.core.types import Component, GeoPosition, View
+from curecon_blender.core.base.errors import CuReconError, WorkspaceError
+from curecon_blender.core.base.options import Options
+from curecon_blender.core.base.records import Component, GeoPosition, View
+from curecon_blender.core.views import record as components
 
 from . import cloud_metrics, depth_metrics
 from .alignment import Sim3, align_cameras, read_centres
@@ -105,7 +105,7 @@ def _camera_errors(
 
 def _on_the_globe(points: np.ndarray, origin: GeoPosition, site: Path) -> np.ndarray:
     """Points (n,3) of a frame with this origin, in the frame of the truth."""
-    from curecon_blender.core.georeference import enu_to_geodetic, geodetic_to_enu
+    from curecon_blender.core.sparse.placement import enu_to_geodetic, geodetic_to_enu
 
     true_origin = GeoPosition(**json.loads((site / "truth" / "origin.json").read_text()))
     return geodetic_to_enu(enu_to_geodetic(points, origin), true_origin)

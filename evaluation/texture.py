@@ -25,14 +25,15 @@ import cv2
 import numpy as np
 from skimage.metrics import structural_similarity
 
-from curecon_blender.core import components, images
-from curecon_blender.core.errors import CuReconError
-from curecon_blender.core.mesh import Mesh, mesh_file, read_mesh, triangle_areas
-from curecon_blender.core.messages import Reporter
-from curecon_blender.core.sampling import sample
-from curecon_blender.core.texturing import TextureOptions, texture_mesh
-from curecon_blender.core.texturing.visibility import in_camera, project, scan_convert
-from curecon_blender.core.types import Component, View
+from curecon_blender.core.base import images
+from curecon_blender.core.base.errors import CuReconError
+from curecon_blender.core.base.messages import Reporter
+from curecon_blender.core.base.records import Component, View
+from curecon_blender.core.base.sampling import sample
+from curecon_blender.core.surface.mesh import Mesh, mesh_file, read_mesh, triangle_areas
+from curecon_blender.core.texture.texturing import TextureOptions, texture_mesh
+from curecon_blender.core.texture.visibility import in_camera, project, scan_convert
+from curecon_blender.core.views import record as components
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,12 +20,12 @@ from pathlib import Path
 import numpy as np
 from skimage.measure import marching_cubes
 
-from curecon_blender.core import components
-from curecon_blender.core.images import read_rgb
-from curecon_blender.core.mesh import Mesh, write_mesh
-from curecon_blender.core.ply import read_cloud
-from curecon_blender.core.sky import sky_mask
-from curecon_blender.core.types import Component, View
+from curecon_blender.core.base.images import read_rgb
+from curecon_blender.core.base.records import Component, View
+from curecon_blender.core.cloud.ply import read_cloud
+from curecon_blender.core.cloud.sky import sky_mask
+from curecon_blender.core.surface.mesh import Mesh, write_mesh
+from curecon_blender.core.views import record as components
 
 SIDE = 8  # voxels of a block
 TRUNCATION = 3  # voxels

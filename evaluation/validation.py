@@ -27,12 +27,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from curecon_blender.core import sparse_points
-from curecon_blender.core.allocator import use_large_pages
-from curecon_blender.core.depth import DepthEstimator
-from curecon_blender.core.options import Options
-from curecon_blender.core.types import View
-from curecon_blender.core.weights import load_network
+from curecon_blender.core.base.allocator import use_large_pages
+from curecon_blender.core.base.options import Options
+from curecon_blender.core.base.records import View
+from curecon_blender.core.depth.estimate import DepthEstimator
+from curecon_blender.core.network.weights import load_network
+from curecon_blender.core.views import sparse_points
 from training.dataset import source_scores, sparse_depth_range
 from training.generator import Scene, back_project, load, project
 

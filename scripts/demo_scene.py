@@ -20,7 +20,7 @@ from mathutils import Matrix, Vector
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import curecon_blender
-from curecon_blender.core.errors import CuReconError
+from curecon_blender.core.base.errors import CuReconError
 from curecon_blender.scene.points import about_the_subject
 from curecon_blender.scene.workspace import Imported, import_workspace
 

@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from curecon_blender.core import components
-from curecon_blender.core.types import Component, Frame, View
+from curecon_blender.core.base.records import Component, Frame, View
+from curecon_blender.core.views import record as components
 
 BOX = np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.5]])
 WIDTH, HEIGHT, FOCAL = 160, 120, 150.0

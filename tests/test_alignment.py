@@ -11,10 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from curecon_blender.core import alignment, measuring
-from curecon_blender.core.alignment import Adjustment, FrameError
-from curecon_blender.core.errors import WorkspaceError
-from curecon_blender.core.types import Frame, GeoPosition
+from curecon_blender.core.base.errors import WorkspaceError
+from curecon_blender.core.base.records import Frame, GeoPosition
+from curecon_blender.core.site import adjustment as alignment
+from curecon_blender.core.site import measuring
+from curecon_blender.core.site.adjustment import Adjustment, FrameError
 
 WHEN = datetime(2026, 5, 4, 3, 2, 1)
 UNKNOWN = Frame(scale="unknown", up="gravity", note="No GPS.")

@@ -16,8 +16,8 @@ import pytest
 from conftest import QUICK, ROOT, Run, command, curecon
 from PIL import Image
 
-from curecon_blender.core.weights import SHIPPED
-from curecon_blender.core.workspace import Workspace
+from curecon_blender.core.network.weights import SHIPPED
+from curecon_blender.core.run.workspace import Workspace
 
 
 def noise_photos(folder: Path, count: int) -> Path:

@@ -11,12 +11,13 @@ import pytest
 from conftest import curecon
 from test_meshing import HOUSE
 
-from curecon_blender.core import cloud_edits, components
-from curecon_blender.core.errors import WorkspaceError
-from curecon_blender.core.files import write_json
-from curecon_blender.core.mesh import read_mesh
-from curecon_blender.core.ply import Cloud, CloudWriter
-from curecon_blender.core.types import Component, Frame
+from curecon_blender.core.base.errors import WorkspaceError
+from curecon_blender.core.base.files import write_json
+from curecon_blender.core.base.records import Component, Frame
+from curecon_blender.core.cloud import edits as cloud_edits
+from curecon_blender.core.cloud.ply import Cloud, CloudWriter
+from curecon_blender.core.surface.mesh import read_mesh
+from curecon_blender.core.views import record as components
 
 
 def write(path: Path, count: int, seed: int = 0) -> Cloud:

@@ -10,10 +10,11 @@ from types import SimpleNamespace
 
 import pytest
 
-from curecon_blender.core import cost, images
-from curecon_blender.core.messages import Reporter
-from curecon_blender.core.options import PRESETS, STAGES, Options
-from curecon_blender.core.types import GeoPosition, Photo
+from curecon_blender.core.base import images
+from curecon_blender.core.base.messages import Reporter
+from curecon_blender.core.base.options import PRESETS, STAGES, Options
+from curecon_blender.core.base.records import GeoPosition, Photo
+from curecon_blender.core.run import cost
 
 REFERENCE = dict.fromkeys(STAGES, 1.0)
 

@@ -21,13 +21,13 @@ import pytest
 from box_scene import cast, make_view, surface_distance, write_depth, write_model, write_scene
 from scipy.spatial.transform import Rotation
 
-from curecon_blender.core import components
-from curecon_blender.core.errors import CuReconError, WorkspaceError
-from curecon_blender.core.fusion import fuse
-from curecon_blender.core.messages import Reporter
-from curecon_blender.core.options import Options
-from curecon_blender.core.ply import Cloud, CloudWriter, read_cloud
-from curecon_blender.core.types import Frame, GeoPosition, View
+from curecon_blender.core.base.errors import CuReconError, WorkspaceError
+from curecon_blender.core.base.messages import Reporter
+from curecon_blender.core.base.options import Options
+from curecon_blender.core.base.records import Frame, GeoPosition, View
+from curecon_blender.core.cloud.fuse import fuse
+from curecon_blender.core.cloud.ply import Cloud, CloudWriter, read_cloud
+from curecon_blender.core.views import record as components
 from evaluation import baselines, cloud_metrics, depth_metrics, plane_sweep, site
 from evaluation.alignment import align, read_centres
 from evaluation.depth_metrics import DepthRange, depth_errors

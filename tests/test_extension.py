@@ -240,5 +240,5 @@ def write_wheel(path: Path, files: dict[str, str]) -> Path:
 
 
 def test_core_imports_without_blender() -> None:
-    program = "import sys, curecon_blender.core.pipeline, curecon_blender.job; sys.exit('bpy' in sys.modules)"
+    program = "import sys, curecon_blender.core.run.pipeline, curecon_blender.job; sys.exit('bpy' in sys.modules)"
     subprocess.run([sys.executable, "-c", program], cwd=ROOT, check=True)

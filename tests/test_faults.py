@@ -24,9 +24,9 @@ import pytest
 from conftest import ROOT, SITE, SITE_PHOTOS, Run, curecon
 from PIL import Image
 
-from curecon_blender.core.components import read
-from curecon_blender.core.messages import Failure, Message, Progress, Result, StageStarted
-from curecon_blender.core.options import STAGES
+from curecon_blender.core.base.messages import Failure, Message, Progress, Result, StageStarted
+from curecon_blender.core.base.options import STAGES
+from curecon_blender.core.views.record import read
 from curecon_blender.job import Job
 
 SMALL = ["--quality", "preview", "--max-image-size", "192", "--max-faces", "3000", "--texture-size", "512"]

@@ -13,12 +13,12 @@ import pytest
 from box_scene import cast, make_view, surface_distance, texture, write_depth, write_scene
 from scipy.spatial import cKDTree
 
-from curecon_blender.core.errors import Cancelled, CuReconError, WorkspaceError
-from curecon_blender.core.fusion import NoPointsError, fuse
-from curecon_blender.core.messages import Progress, Reporter
-from curecon_blender.core.options import Options
-from curecon_blender.core.ply import Cloud, read_cloud
-from curecon_blender.core.types import Component, View
+from curecon_blender.core.base.errors import Cancelled, CuReconError, WorkspaceError
+from curecon_blender.core.base.messages import Progress, Reporter
+from curecon_blender.core.base.options import Options
+from curecon_blender.core.base.records import Component, View
+from curecon_blender.core.cloud.fuse import NoPointsError, fuse
+from curecon_blender.core.cloud.ply import Cloud, read_cloud
 
 
 def run(component: Component, workspace: Path, reporter: Reporter | None = None, **options: float) -> Cloud:

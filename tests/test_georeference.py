@@ -11,9 +11,9 @@ import numpy as np
 import pycolmap
 import pytest
 
-from curecon_blender.core import georeference
-from curecon_blender.core.errors import WorkspaceError
-from curecon_blender.core.types import Frame, GeoPosition, Gimbal, Photo
+from curecon_blender.core.base.errors import WorkspaceError
+from curecon_blender.core.base.records import Frame, GeoPosition, Gimbal, Photo
+from curecon_blender.core.sparse import placement as georeference
 
 SITE = GeoPosition(latitude=24.6612, longitude=117.0523, altitude=423.0)  # the Tulou of Fujian
 UNKNOWN = pycolmap.Sim3d(0.07, pycolmap.Rotation3d(np.array([0.3, -0.5, 0.2, 0.8])), np.array([3.0, -2.0, 5.0]))

@@ -38,13 +38,13 @@ from curecon_blender.core import (
     pipeline,
     weights,
 )
-from curecon_blender.core.errors import CuReconError, PhotoError, SparseError, WeightsError, WorkspaceError
-from curecon_blender.core.mesh import read_mesh
-from curecon_blender.core.messages import Reporter
-from curecon_blender.core.metadata import read_metadata
-from curecon_blender.core.photos import check_photos
-from curecon_blender.core.ply import point_count, read_cloud
-from curecon_blender.core.workspace import Workspace
+from curecon_blender.core.base.errors import CuReconError, PhotoError, SparseError, WeightsError, WorkspaceError
+from curecon_blender.core.base.messages import Reporter
+from curecon_blender.core.cloud.ply import point_count, read_cloud
+from curecon_blender.core.photos.check import check_photos
+from curecon_blender.core.photos.metadata import read_metadata
+from curecon_blender.core.run.workspace import Workspace
+from curecon_blender.core.surface.mesh import read_mesh
 from tests.fuzz import runner, targets
 
 OUTSIDE = ("../x", "/etc/x", "C:\\x", "C:x", "\\\\host\\share\\x", "a/../../x", "..", "", "nul", "a\nb", "a\0b")
@@ -173,7 +173,7 @@ def test_a_line_that_is_no_message(line: str) -> None:
 
 
 def test_speeds_that_are_none_are_learned_again(tmp_path: Path) -> None:
-    from curecon_blender.core import cost
+    from curecon_blender.core.run import cost
 
     path = tmp_path / "speeds.json"
     for text in ('{"sparse": ["x"]}', '{"sparse": [NaN]}', '{"sparse": [-1]}', '{"sparse": 1}', "[" * 100_000):
@@ -296,7 +296,7 @@ def test_arrays_that_promise_or_hold_something_else(
 
 @pytest.mark.parametrize("damage", ["object", "huge", "cut"])
 def test_depth_maps_that_promise_or_hold_something_else(tmp_path: Path, damage: str) -> None:
-    from curecon_blender.core.fusion import _read_arrays
+    from curecon_blender.core.cloud.fuse import _read_arrays
 
     targets._make_depth(tmp_path)
     view = targets._view()

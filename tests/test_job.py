@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from curecon_blender.core.messages import Failure, Log, Message, Progress, Result, StageStarted, Warning
+from curecon_blender.core.base.messages import Failure, Log, Message, Progress, Result, StageStarted, Warning
 from curecon_blender.job import Job, Status, WorkerError, duration
 
 StartWorker = Callable[..., Job]

@@ -12,12 +12,12 @@ import pytest
 from box_scene import BOX, surface_distance, texture
 from scipy.spatial import cKDTree
 
-from curecon_blender.core import meshing
-from curecon_blender.core.errors import Cancelled
-from curecon_blender.core.mesh import Mesh
-from curecon_blender.core.meshing import MeshError, MeshOptions, build_mesh
-from curecon_blender.core.messages import Progress, Reporter
-from curecon_blender.core.ply import Cloud
+from curecon_blender.core.base.errors import Cancelled
+from curecon_blender.core.base.messages import Progress, Reporter
+from curecon_blender.core.cloud.ply import Cloud
+from curecon_blender.core.surface import meshing
+from curecon_blender.core.surface.mesh import Mesh
+from curecon_blender.core.surface.meshing import MeshError, MeshOptions, build_mesh
 from evaluation.mesh import sample
 
 SPACING = 0.03  # metres

@@ -11,11 +11,11 @@ import pytest
 import torch
 from box_scene import cast, make_view, write_scene
 
-from curecon_blender.core.depth import DepthEstimator, Tile, plan_tiles, visible_region
-from curecon_blender.core.errors import DeviceError
-from curecon_blender.core.fused_cost_volume import Matching, fused_cost_volume
-from curecon_blender.core.matching_scores import depth_range, matching_score
-from curecon_blender.core.network import (
+from curecon_blender.core.base.errors import DeviceError
+from curecon_blender.core.base.options import Options
+from curecon_blender.core.depth.estimate import DepthEstimator, Tile, plan_tiles, visible_region
+from curecon_blender.core.network.cost_volume_cpu import Matching, fused_cost_volume
+from curecon_blender.core.network.model import (
     PAPER,
     LCMMVSNet,
     decode_linear,
@@ -27,8 +27,8 @@ from curecon_blender.core.network import (
     t_from_depth,
     warp,
 )
-from curecon_blender.core.options import Options
-from curecon_blender.core.weights import load_network
+from curecon_blender.core.network.weights import load_network
+from curecon_blender.core.views.scores import depth_range, matching_score
 from training.losses import linear_label, unified_label
 
 

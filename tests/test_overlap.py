@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from curecon_blender.core.overlap import estimate
-from curecon_blender.core.types import GeoPosition, Gimbal, Photo
+from curecon_blender.core.base.records import GeoPosition, Gimbal, Photo
+from curecon_blender.core.photos.overlap import estimate
 
 METRES_PER_DEGREE = 111_132.95  # of latitude, near enough at 45 degrees
 

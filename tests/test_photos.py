@@ -18,12 +18,12 @@ import pytest
 from PIL import Image, ImageCms
 from PIL.PngImagePlugin import PngInfo
 
-from curecon_blender.core import images
-from curecon_blender.core.errors import Cancelled, PhotoError
-from curecon_blender.core.messages import Message, Progress, Reporter
-from curecon_blender.core.metadata import read_metadata
-from curecon_blender.core.photos import check_photos, describe, ground_sampling_distance, write_thumbnails
-from curecon_blender.core.types import Gimbal, PhotoSet
+from curecon_blender.core.base import images
+from curecon_blender.core.base.errors import Cancelled, PhotoError
+from curecon_blender.core.base.messages import Message, Progress, Reporter
+from curecon_blender.core.base.records import Gimbal, PhotoSet
+from curecon_blender.core.photos.check import check_photos, describe, ground_sampling_distance, write_thumbnails
+from curecon_blender.core.photos.metadata import read_metadata
 
 WIDTH, HEIGHT = 320, 240
 SAMPLE = Path(__file__).parent.parent / "samples" / "tulou" / "photos"

@@ -13,8 +13,10 @@ import numpy as np
 import pytest
 from test_extension import blender, run_script  # noqa: F401
 
-from curecon_blender.core import camera_path, capture, footprint, sheet, sheet_files, sun
-from curecon_blender.core.errors import SurfaceError, WorkspaceError
+from curecon_blender.core.base.errors import SurfaceError, WorkspaceError
+from curecon_blender.core.photos import capture
+from curecon_blender.core.present import camera_path, sheet, sheet_files, sun
+from curecon_blender.core.site import footprint
 
 GREENWICH = (51.4779, 0.0)
 

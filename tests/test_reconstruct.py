@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 from conftest import QUICK, ROOT, SITE, SITE_PHOTOS, Run, command, curecon
 
-from curecon_blender.core import messages
-from curecon_blender.core.components import read
-from curecon_blender.core.ply import read_cloud
+from curecon_blender.core.base import messages
+from curecon_blender.core.cloud.ply import read_cloud
+from curecon_blender.core.views.record import read
 
 
 def times(folder: Path) -> dict[str, int]:
@@ -67,7 +67,7 @@ def test_depth_files_say_all_that_is_needed_to_use_them(finished: tuple[Path, Ru
 
 
 def test_depth_maps_agree_with_the_sparse_points_that_they_are_told_of(finished: tuple[Path, Run]) -> None:
-    from curecon_blender.core import sparse_points
+    from curecon_blender.core.views import sparse_points
 
     workspace, _ = finished
     for view in read(workspace)[0].views:
@@ -152,9 +152,9 @@ def test_a_given_model_keeps_its_cameras_exactly(site_photos: Path, tmp_path: Pa
 def test_a_small_memory_budget_changes_the_tiles_and_not_the_depth(
     finished: tuple[Path, Run], site_photos: Path, tmp_path: Path
 ) -> None:
-    from curecon_blender.core.depth import BASE_BYTES, DepthEstimator, plan_tiles
-    from curecon_blender.core.options import Options
-    from curecon_blender.core.weights import load_network
+    from curecon_blender.core.base.options import Options
+    from curecon_blender.core.depth.estimate import BASE_BYTES, DepthEstimator, plan_tiles
+    from curecon_blender.core.network.weights import load_network
 
     workspace = finished[0]
     views = {view.name: view for view in read(workspace)[0].views}
@@ -224,7 +224,7 @@ def test_wrong_arguments_are_refused_with_the_usage(site_photos: Path, tmp_path:
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="the allocator's settings are glibc's")
 def test_a_worker_starts_itself_again_with_large_pages_and_the_same_arguments() -> None:
-    script = ("from curecon_blender.core.allocator import use_large_pages; use_large_pages(); "
+    script = ("from curecon_blender.core.base.allocator import use_large_pages; use_large_pages(); "
               "import os, sys; print(os.environ['MALLOC_MMAP_MAX_'], sys.argv[1:])")
     plain = {k: v for k, v in os.environ.items() if not k.startswith(("MALLOC_", "GLIBC_"))}
     done = subprocess.run([sys.executable, "-c", script, "a b", "--c"], cwd=ROOT, env=plain, capture_output=True,

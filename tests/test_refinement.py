@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from curecon_blender.core.refinement import (
+from curecon_blender.core.network.refinement import (
     KINDS,
     RADII,
     SIDES,

@@ -19,11 +19,14 @@ import pytest
 import torch
 from box_scene import make_view, write_scene
 
-from curecon_blender.core import depth, pipeline, spreading, weights
-from curecon_blender.core.errors import Cancelled, DeviceError, PhotoError, WorkspaceError
-from curecon_blender.core.messages import Message, Progress, Reporter
-from curecon_blender.core.options import Options
-from curecon_blender.core.types import Component
+from curecon_blender.core.base.errors import Cancelled, DeviceError, PhotoError, WorkspaceError
+from curecon_blender.core.base.messages import Message, Progress, Reporter
+from curecon_blender.core.base.options import Options
+from curecon_blender.core.base.records import Component
+from curecon_blender.core.depth import cluster as spreading
+from curecon_blender.core.depth import estimate as depth
+from curecon_blender.core.network import weights
+from curecon_blender.core.run import pipeline
 
 KEY = "key"
 PHOTOS = 7

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from curecon_blender.core.sky import sky_mask
+from curecon_blender.core.cloud.sky import sky_mask
 
 HEIGHT, WIDTH = 300, 400
 K = np.array([[350.0, 0, WIDTH / 2], [0, 350.0, HEIGHT / 2], [0, 0, 1]])

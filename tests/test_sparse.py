@@ -14,13 +14,14 @@ import numpy as np
 import pycolmap
 import pytest
 
-from curecon_blender.core import matching, sparse
-from curecon_blender.core.errors import Cancelled, SparseError
-from curecon_blender.core.georeference import enu_to_geodetic, geodetic_to_enu, read_frame
-from curecon_blender.core.messages import Message, Progress, Reporter
-from curecon_blender.core.options import Options
-from curecon_blender.core.types import Frame, GeoPosition, Photo, PhotoSet
-from curecon_blender.core.undistortion import undistort
+from curecon_blender.core.base.errors import Cancelled, SparseError
+from curecon_blender.core.base.messages import Message, Progress, Reporter
+from curecon_blender.core.base.options import Options
+from curecon_blender.core.base.records import Frame, GeoPosition, Photo, PhotoSet
+from curecon_blender.core.sparse import find_cameras as sparse
+from curecon_blender.core.sparse import matching
+from curecon_blender.core.sparse.placement import enu_to_geodetic, geodetic_to_enu, read_frame
+from curecon_blender.core.views.undistortion import undistort
 
 WIDTH, HEIGHT, FOCAL = 480, 360, 420.0
 SITE = GeoPosition(latitude=24.6612, longitude=117.0523, altitude=423.0)

@@ -16,8 +16,8 @@ import pytest
 from conftest import QUICK, ROOT, Run, command, curecon
 from PIL import Image
 
-from curecon_blender.core.mesh import read_mesh
-from curecon_blender.core.ply import read_cloud
+from curecon_blender.core.cloud.ply import read_cloud
+from curecon_blender.core.surface.mesh import read_mesh
 
 FACES = ["--max-faces", "20000", "--texture-size", "1024"]
 

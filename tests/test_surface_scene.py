@@ -22,10 +22,10 @@ import pytest
 import trimesh
 from test_extension import _blender52, blender, run_script  # noqa: F401
 
-from curecon_blender.core import export
-from curecon_blender.core.errors import WorkspaceError
-from curecon_blender.core.export import Provenance
-from curecon_blender.core.types import GeoPosition
+from curecon_blender.core.base.errors import WorkspaceError
+from curecon_blender.core.base.records import GeoPosition
+from curecon_blender.core.surface import export
+from curecon_blender.core.surface.export import Provenance
 
 WEB = Path(__file__).parent / "web"
 PATIENCE = 240  # seconds for the page on a busy computer

@@ -13,12 +13,12 @@ import cv2
 import numpy as np
 import pytest
 
-from curecon_blender.core import files, images
-from curecon_blender.core.errors import WorkspaceError
-from curecon_blender.core.mesh import Mesh, read_mesh, write_mesh
-from curecon_blender.core.messages import Reporter
-from curecon_blender.core.texturing import TextureError, TextureOptions, colour_vertices, texture_mesh
-from curecon_blender.core.types import Component
+from curecon_blender.core.base import files, images
+from curecon_blender.core.base.errors import WorkspaceError
+from curecon_blender.core.base.messages import Reporter
+from curecon_blender.core.base.records import Component
+from curecon_blender.core.surface.mesh import Mesh, read_mesh, write_mesh
+from curecon_blender.core.texture.texturing import TextureError, TextureOptions, colour_vertices, texture_mesh
 from evaluation.texture import render
 from tests import box_scene
 

@@ -23,7 +23,7 @@ from box_scene import BOX, cast, make_view
 from conftest import ROOT
 from PIL import Image
 
-from curecon_blender.core.weights import load_network
+from curecon_blender.core.network.weights import load_network
 from training import build_assets, generator
 from training.assets import Assets, overcast_texture
 from training.cameras import draw_rig

@@ -26,10 +26,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from curecon_blender.core import network as network_module
-from curecon_blender.core.allocator import use_large_pages
-from curecon_blender.core.fused_cost_volume import Matching
-from curecon_blender.core.network import PAPER, LCMMVSNet, LevelOutput, NetworkConfig
+from curecon_blender.core.base.allocator import use_large_pages
+from curecon_blender.core.network import model as network_module
+from curecon_blender.core.network.cost_volume_cpu import Matching
+from curecon_blender.core.network.model import PAPER, LCMMVSNet, LevelOutput, NetworkConfig
 from training import train
 from training.dataset import Sample, training_sample
 from training.generator import load

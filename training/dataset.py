@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 import torch
 
-from curecon_blender.core.matching_scores import depth_range, matching_score
-from curecon_blender.core.network import mean_disparity
-from curecon_blender.core.sparse_points import points_in
+from curecon_blender.core.network.model import mean_disparity
+from curecon_blender.core.views.scores import depth_range, matching_score
+from curecon_blender.core.views.sparse_points import points_in
 from training.generator import Scene
 
 MOST_PIXELS = 560  # a sweep over more asks for so many hypotheses that one sample would take the time of three

@@ -20,8 +20,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from curecon_blender.core.network import LCMMVSNet, full_shares, t_from_depth
-from curecon_blender.core.weights import SHIPPED, save_network
+from curecon_blender.core.network.model import LCMMVSNet, full_shares, t_from_depth
+from curecon_blender.core.network.weights import SHIPPED, save_network
 from training.dataset import training_sample
 from training.generator import load
 from training.losses import INTERVALS

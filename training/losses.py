@@ -9,8 +9,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from curecon_blender.core.network import LevelOutput
-from curecon_blender.core.refinement import PLANES, Refined
+from curecon_blender.core.network.model import LevelOutput
+from curecon_blender.core.network.refinement import PLANES, Refined
 
 GAMMA = {2: 2.0, 1: 1.0, 0: 0.0}
 ALPHA = {2: 0.75, 1: 0.5, 0: 0.25}

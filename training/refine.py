@@ -24,10 +24,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from curecon_blender.core.allocator import use_large_pages
-from curecon_blender.core.network import MULTIPLE, LCMMVSNet, full_shares, t_from_depth
-from curecon_blender.core.refinement import Refinement, plain_choice, rasterised
-from curecon_blender.core.weights import SHIPPED
+from curecon_blender.core.base.allocator import use_large_pages
+from curecon_blender.core.network.model import MULTIPLE, LCMMVSNet, full_shares, t_from_depth
+from curecon_blender.core.network.refinement import Refinement, plain_choice, rasterised
+from curecon_blender.core.network.weights import SHIPPED
 from training.dataset import Sample, training_sample
 from training.generator import load
 from training.losses import INTERVALS, refinement_loss

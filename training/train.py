@@ -30,11 +30,11 @@ import torch
 import torch.distributed as dist
 from torch import Tensor
 
-from curecon_blender.core.allocator import use_large_pages
-from curecon_blender.core.depth import choose_precision
-from curecon_blender.core.network import LCMMVSNet, NetworkConfig, t_from_depth
-from curecon_blender.core.refinement import plain_choice, rasterised
-from curecon_blender.core.weights import describe, load_network
+from curecon_blender.core.base.allocator import use_large_pages
+from curecon_blender.core.depth.estimate import choose_precision
+from curecon_blender.core.network.model import LCMMVSNet, NetworkConfig, t_from_depth
+from curecon_blender.core.network.refinement import plain_choice, rasterised
+from curecon_blender.core.network.weights import describe, load_network
 from training.dataset import Sample, training_sample
 from training.generator import load
 from training.losses import INTERVALS, refinement_loss, total_loss

@@ -4,8 +4,8 @@
 
 import sys
 
-from .allocator import use_large_pages
-from .worker import main
+from .base.allocator import use_large_pages
+from .run.worker import main
 
 if __name__ == "__main__":
     use_large_pages()

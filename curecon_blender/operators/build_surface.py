@@ -9,8 +9,8 @@ from typing import Any
 
 import bpy
 
-from ..core.errors import SurfaceError
-from ..core.options import PRESETS
+from ..core.base.errors import SurfaceError
+from ..core.base.options import PRESETS
 from ..scene import region
 from ..scene.surface import surfaces_of
 from ..scene.workspace import clouds_of

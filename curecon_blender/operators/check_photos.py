@@ -15,7 +15,7 @@ from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import StringProperty
 
 from .. import thumbnails
-from ..core.errors import PhotoError
+from ..core.base.errors import PhotoError
 from ..preferences import settings
 from ..scene import pictures
 from . import places, running

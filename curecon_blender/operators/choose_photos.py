@@ -13,7 +13,7 @@ import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import BoolProperty, CollectionProperty, StringProperty
 
-from ..core.errors import CuReconError
+from ..core.base.errors import CuReconError
 from . import running
 
 

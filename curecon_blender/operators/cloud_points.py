@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 from bpy.app.translations import pgettext_iface
 
-from ..core.errors import CuReconError
+from ..core.base.errors import CuReconError
 from ..scene import cloud_edits, viewport
 from ..scene.workspace import clouds_of
 from . import running

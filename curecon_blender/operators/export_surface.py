@@ -14,7 +14,7 @@ from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
-from ..core.errors import CuReconError
+from ..core.base.errors import CuReconError
 from ..scene.exchange import Choices, export_surfaces
 from ..scene.surface import surfaces_of
 from . import running

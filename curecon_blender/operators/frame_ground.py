@@ -10,8 +10,8 @@ import bpy
 import numpy as np
 from bpy.app.translations import pgettext_rpt as rpt_
 
-from ..core import alignment
-from ..core.alignment import FrameError
+from ..core.site import adjustment as alignment
+from ..core.site.adjustment import FrameError
 from ..scene import frame, site
 from .picking import PickingOperator
 

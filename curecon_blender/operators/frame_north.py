@@ -14,7 +14,7 @@ import numpy as np
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import BoolProperty, FloatProperty
 
-from ..core import alignment
+from ..core.site import adjustment as alignment
 from ..scene import frame
 from .picking import PickingOperator, place_property
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from ..core.alignment import Adjustment
+from ..core.site.adjustment import Adjustment
 from ..scene import frame
 from .picking import PickingOperator
 

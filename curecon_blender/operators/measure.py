@@ -12,7 +12,7 @@ import numpy as np
 from bpy.app.translations import pgettext_iface
 from bpy.props import BoolProperty
 
-from ..core.alignment import FrameError
+from ..core.site.adjustment import FrameError
 from ..scene import measurements, viewport
 from .picking import PickingOperator, place_property
 

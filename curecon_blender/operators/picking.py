@@ -12,7 +12,7 @@ from bpy.app.translations import pgettext_iface
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import FloatVectorProperty
 
-from ..core.errors import CuReconError
+from ..core.base.errors import CuReconError
 from ..scene import overlay, picking, viewport
 from ..scene.frame import parts_of
 from . import running

@@ -11,7 +11,7 @@ from pathlib import Path
 import bpy
 
 from .. import ADDON
-from ..core.errors import PhotoError
+from ..core.base.errors import PhotoError
 from ..preferences import settings
 from ..scene import site
 

@@ -11,8 +11,8 @@ import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import EnumProperty
 
-from ..core import capture
-from ..core.errors import CuReconError, WorkspaceError
+from ..core.base.errors import CuReconError, WorkspaceError
+from ..core.photos import capture
 from ..scene import cameras, flight, stage
 from . import places, running
 

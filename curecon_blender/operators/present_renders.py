@@ -9,7 +9,7 @@ from pathlib import Path
 import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 
-from ..core.errors import WorkspaceError
+from ..core.base.errors import WorkspaceError
 from ..scene import showreel, stage
 from . import rendering, running
 from .rendering import RenderSeries

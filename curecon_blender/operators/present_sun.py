@@ -10,8 +10,9 @@ from math import degrees
 import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 
-from ..core import capture, sun
-from ..core.errors import CuReconError, WorkspaceError
+from ..core.base.errors import CuReconError, WorkspaceError
+from ..core.photos import capture
+from ..core.present import sun
 from ..scene import daylight, site, stage
 from . import places, running
 

@@ -14,8 +14,8 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, StringProperty
 
-from ..core.errors import SparseError
-from ..core.options import SURFACE_STAGES
+from ..core.base.errors import SparseError
+from ..core.base.options import SURFACE_STAGES
 from ..preferences import settings
 from . import places, running
 from .build_surface import surface_arguments

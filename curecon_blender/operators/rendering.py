@@ -11,8 +11,8 @@ from pathlib import Path
 
 import bpy
 
-from ..core.errors import CuReconError, WorkspaceError
-from ..core.files import disk_errors
+from ..core.base.errors import CuReconError, WorkspaceError
+from ..core.base.files import disk_errors
 from ..scene import stage
 from . import places, running
 

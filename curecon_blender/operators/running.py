@@ -14,8 +14,8 @@ from typing import Any
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from ..core.errors import Cancelled, CuReconError
-from ..core.messages import Failure, Log, StageStarted, failure
+from ..core.base.errors import Cancelled, CuReconError
+from ..core.base.messages import Failure, Log, StageStarted, failure
 from ..job import Job, Status, duration
 from ..preferences import settings
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from ..core import alignment
+from ..core.site import adjustment as alignment
 from ..scene import frame, measurements
 from .layout import Panel, paragraph
 

@@ -11,7 +11,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from .. import ADDON
-from ..core.messages import Failure
+from ..core.base.messages import Failure
 from ..job import Status, duration
 from ..operators import running
 from ..operators.running import STAGE_NAMES

@@ -18,7 +18,7 @@ from bpy.props import (
     StringProperty,
 )
 
-from ..core.options import PRESETS
+from ..core.base.options import PRESETS
 from ..scene import cameras, surface, viewport
 from ..scene.workspace import clouds_of, hide
 from . import cloud, frame, photos, present, result

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import bpy
 import numpy as np
 
-from ..core.ground import LEVEL, STRAYS, lowest_wide_level
+from ..core.base.ground import LEVEL, STRAYS, lowest_wide_level
 from . import presentation
 from .points import CloudArrays
 

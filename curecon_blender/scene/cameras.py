@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from ..core.types import View
+from ..core.base.records import View
 
 SENSOR_WIDTH = 36.0  # millimetres; only the ratio of lens to sensor matters
 SIZE_KEY, ASPECT_KEY = "curecon_size", "curecon_pixel_aspect"  # on camera data: pixels (w, h) and fx / fy

@@ -11,8 +11,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..core.cloud_edits import write_removed
-from ..core.errors import WorkspaceError
+from ..core.base.errors import WorkspaceError
+from ..core.cloud.edits import write_removed
 from . import display, region
 from .display import REMOVED, REMOVED_KEY
 from .points import CLOUD_KEY, file_order, positions

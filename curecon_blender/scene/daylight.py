@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from ..core import sun
+from ..core.present import sun
 from . import backdrop, presentation
 from .site import Box
 

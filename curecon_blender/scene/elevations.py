@@ -11,8 +11,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..core import sheet, sheet_files
-from ..core.sheet import Drawing
+from ..core.present import sheet, sheet_files
+from ..core.present.sheet import Drawing
 from . import site, stage, surface
 from .lettering import letters
 

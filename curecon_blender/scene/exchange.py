@@ -13,12 +13,12 @@ from tempfile import TemporaryDirectory
 
 import bpy
 
-from ..core import export
-from ..core.errors import WorkspaceError
-from ..core.export import Provenance
-from ..core.files import disk_errors
-from ..core.reading import build
-from ..core.types import GeoPosition
+from ..core.base.errors import WorkspaceError
+from ..core.base.files import disk_errors
+from ..core.base.reading import build
+from ..core.base.records import GeoPosition
+from ..core.surface import export
+from ..core.surface.export import Provenance
 from . import surface
 
 IMAGE_QUALITY = 90  # of JPEG and WebP in a GLB

@@ -10,9 +10,9 @@ from math import degrees
 import bpy
 import numpy as np
 
-from ..core import camera_path
-from ..core.camera_path import CameraPath
-from ..core.errors import SurfaceError
+from ..core.base.errors import SurfaceError
+from ..core.present import camera_path
+from ..core.present.camera_path import CameraPath
 from . import cameras, presentation, site
 
 LENS, SENSOR = 35.0, cameras.SENSOR_WIDTH  # millimetres

@@ -16,10 +16,10 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
-from ..core import alignment
-from ..core.alignment import Adjustment
-from ..core.reading import build, parse_json
-from ..core.types import Component, Frame
+from ..core.base.reading import build, parse_json
+from ..core.base.records import Component, Frame
+from ..core.site import adjustment as alignment
+from ..core.site.adjustment import Adjustment
 from . import points, surface
 
 FRAME_KEY = "curecon_frame"  # on a part: its Frame as it was reconstructed, as JSON

@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from ..core import measuring
+from ..core.site import measuring
 from . import points
 from .frame import Part, part_at, part_in, world_matrix
 

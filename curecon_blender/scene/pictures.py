@@ -8,7 +8,7 @@ from pathlib import Path
 
 import bpy
 
-from ..core.errors import PhotoError
+from ..core.base.errors import PhotoError
 
 
 def show(context: bpy.types.Context, path: Path) -> None:

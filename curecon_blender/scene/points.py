@@ -11,7 +11,7 @@ from functools import lru_cache
 import bpy
 import numpy as np
 
-from ..core.ply import Cloud
+from ..core.cloud.ply import Cloud
 
 COLOUR = "Color"  # Blender's own spelling, which other tools look for
 MATERIAL = "CU-Recon Colour"

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import bpy
 
-from ..core import sheet, sheet_files
+from ..core.present import sheet, sheet_files
 from . import flight, site, stage
 from .lettering import letters
 

@@ -10,10 +10,10 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from ..core import footprint
-from ..core.alignment import FrameError
-from ..core.errors import SurfaceError
-from ..core.ground import LEVEL, lowest_wide_level
+from ..core.base.errors import SurfaceError
+from ..core.base.ground import LEVEL, lowest_wide_level
+from ..core.site import footprint
+from ..core.site.adjustment import FrameError
 from . import points, surface
 from .surface import is_surface, surfaces_of
 from .workspace import clouds_of

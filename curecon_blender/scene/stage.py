@@ -14,7 +14,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from ..core.camera_path import CameraPath
+from ..core.present.camera_path import CameraPath
 from . import flight, presentation, site, surface
 from .surface import surfaces_of
 

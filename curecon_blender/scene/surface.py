@@ -16,8 +16,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..core.errors import WorkspaceError
-from ..core.mesh import Mesh
+from ..core.base.errors import WorkspaceError
+from ..core.surface.mesh import Mesh
 from .points import COLOUR, SUBJECT_SAMPLE, fill, linear, linear_colours, positions
 
 SURFACE_KEY = "curecon_surface"  # marks the mesh data that came from a workspace

@@ -12,13 +12,14 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..core import alignment, components
-from ..core.alignment import Adjustment
-from ..core.cloud_edits import is_stale, read_removed
-from ..core.mesh import Mesh, filled_share, mesh_file, read_mesh, textured_folder
-from ..core.ply import read_cloud
-from ..core.types import Component, Frame
-from ..core.workspace import refuse_links
+from ..core.base.records import Component, Frame
+from ..core.cloud.edits import is_stale, read_removed
+from ..core.cloud.ply import read_cloud
+from ..core.run.workspace import refuse_links
+from ..core.site import adjustment as alignment
+from ..core.site.adjustment import Adjustment
+from ..core.surface.mesh import Mesh, filled_share, mesh_file, read_mesh, textured_folder
+from ..core.views import record as components
 from . import backdrop, cameras, cloud_edits, display, frame, new_file, points, surface
 
 WORKSPACE_KEY = "curecon_workspace"  # on the collection: the workspace it was imported from

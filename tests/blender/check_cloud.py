@@ -14,9 +14,10 @@ import workspace_scene
 from mathutils import Euler, Matrix
 
 import curecon_blender
-from curecon_blender.core import alignment, worker
-from curecon_blender.core.cloud_edits import read_edited_cloud, removed_file
-from curecon_blender.core.ply import CloudWriter
+from curecon_blender.core.cloud.edits import read_edited_cloud, removed_file
+from curecon_blender.core.cloud.ply import CloudWriter
+from curecon_blender.core.run import worker
+from curecon_blender.core.site import adjustment as alignment
 from curecon_blender.operators.build_surface import surface_arguments
 from curecon_blender.scene import display
 from curecon_blender.scene.points import positions

@@ -18,7 +18,7 @@ from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
 import curecon_blender
-from curecon_blender.core.ply import Cloud, CloudWriter
+from curecon_blender.core.cloud.ply import Cloud, CloudWriter
 from curecon_blender.scene import measurements
 from curecon_blender.scene.frame import world_matrix
 from curecon_blender.scene.points import positions

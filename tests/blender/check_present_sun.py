@@ -16,7 +16,7 @@ import workspace_scene
 from mathutils import Vector
 
 import curecon_blender
-from curecon_blender.core import sun
+from curecon_blender.core.present import sun
 from curecon_blender.scene import backdrop, points
 
 FOLDER = Path(sys.argv[1]) / "work"

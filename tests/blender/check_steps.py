@@ -15,7 +15,7 @@ import surface_scene
 import workspace_scene
 
 import curecon_blender
-from curecon_blender.core.errors import CuReconError
+from curecon_blender.core.base.errors import CuReconError
 from curecon_blender.operators.import_workspace import bring_in
 from curecon_blender.scene.surface import surfaces_of
 from curecon_blender.scene.workspace import clouds_of

@@ -15,7 +15,7 @@ import workspace_scene
 from surface_scene import FILLED, QUARTERS
 
 import curecon_blender
-from curecon_blender.core.mesh import write_mesh
+from curecon_blender.core.surface.mesh import write_mesh
 from curecon_blender.scene.surface import TINT, facing, surfaces_of
 from curecon_blender.scene.workspace import clouds_of
 

@@ -16,7 +16,7 @@ import workspace_scene
 
 import curecon_blender
 from curecon_blender import preferences
-from curecon_blender.core import worker
+from curecon_blender.core.run import worker
 from curecon_blender.operators.build_surface import surface_arguments
 from curecon_blender.operators.reconstruct import job_arguments
 from curecon_blender.properties import GOALS

@@ -9,7 +9,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from curecon_blender.core.mesh import Mesh, write_mesh
+from curecon_blender.core.surface.mesh import Mesh, write_mesh
 
 SIDE = 21  # vertices
 PAGE_PIXELS = 64

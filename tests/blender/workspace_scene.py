@@ -9,9 +9,9 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from curecon_blender.core import components
-from curecon_blender.core.ply import Cloud, CloudWriter
-from curecon_blender.core.types import Component, Frame, GeoPosition, View
+from curecon_blender.core.base.records import Component, Frame, GeoPosition, View
+from curecon_blender.core.cloud.ply import Cloud, CloudWriter
+from curecon_blender.core.views import record as components
 
 POINTS = 2000
 SIZE = (64, 48)  # pixels of the pictures

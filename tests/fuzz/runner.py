@@ -16,7 +16,7 @@ from pathlib import Path
 
 from hypothesis import HealthCheck, Phase, given, seed, settings
 
-from curecon_blender.core.errors import CuReconError
+from curecon_blender.core.base.errors import CuReconError
 
 from .targets import TARGETS, Target
 

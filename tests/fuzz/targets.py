@@ -19,7 +19,7 @@ import numpy as np
 from hypothesis import strategies as st
 from PIL import Image, PngImagePlugin
 
-from curecon_blender.core.errors import CuReconError
+from curecon_blender.core.base.errors import CuReconError
 
 from .mutations import archives, exif_blocks, spoiled_bytes, spoiled_json, spoiled_words
 
@@ -111,8 +111,9 @@ def _make_picture(folder: Path) -> None:
 
 
 def _read_picture(folder: Path) -> None:
-    from curecon_blender.core import photos, pipeline
-    from curecon_blender.core.types import Photo, PhotoSet
+    from curecon_blender.core.base.records import Photo, PhotoSet
+    from curecon_blender.core.photos import check as photos
+    from curecon_blender.core.run import pipeline
 
     photo = photos._examine(folder / PHOTO)
     if isinstance(photo, Photo):
@@ -126,8 +127,8 @@ def _read_picture(folder: Path) -> None:
 # ---- clouds and meshes
 
 def _make_cloud(folder: Path) -> None:
-    from curecon_blender.core.cloud_edits import write_removed
-    from curecon_blender.core.ply import Cloud, CloudWriter
+    from curecon_blender.core.cloud.edits import write_removed
+    from curecon_blender.core.cloud.ply import Cloud, CloudWriter
 
     rng = np.random.default_rng(1)
     count = 9
@@ -154,7 +155,7 @@ def _ply_cases(name: str) -> Callable[[Path], st.SearchStrategy[tuple[str, bytes
 
 
 def _read_cloud(folder: Path) -> None:
-    from curecon_blender.core.ply import point_count, read_cloud
+    from curecon_blender.core.cloud.ply import point_count, read_cloud
 
     cloud = read_cloud(folder / "cloud.ply")
     assert np.isfinite(cloud.points).all() and np.isfinite(cloud.confidence).all()
@@ -162,7 +163,7 @@ def _read_cloud(folder: Path) -> None:
 
 
 def _make_mesh(folder: Path) -> None:
-    from curecon_blender.core.mesh import Mesh, write_mesh
+    from curecon_blender.core.surface.mesh import Mesh, write_mesh
 
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float32)
     write_mesh(folder / "mesh.ply", Mesh(
@@ -172,7 +173,7 @@ def _make_mesh(folder: Path) -> None:
 
 
 def _read_mesh(folder: Path) -> None:
-    from curecon_blender.core.mesh import filled_share, read_mesh
+    from curecon_blender.core.surface.mesh import filled_share, read_mesh
 
     mesh = read_mesh(folder / "mesh.ply")
     assert np.isfinite(filled_share([mesh]))
@@ -180,7 +181,7 @@ def _read_mesh(folder: Path) -> None:
 
 
 def _removed_cases(folder: Path) -> st.SearchStrategy[tuple[str, bytes]]:
-    from curecon_blender.core.cloud_edits import digest
+    from curecon_blender.core.cloud.edits import digest
 
     named = digest(folder / "cloud.ply").encode("utf-32-le")
     seed = {"bits": ("|u1", (2,), b"\xaa\x80"), "cloud": ("<U64", (), named)}
@@ -190,7 +191,7 @@ def _removed_cases(folder: Path) -> st.SearchStrategy[tuple[str, bytes]]:
 
 
 def _read_removed(folder: Path) -> None:
-    from curecon_blender.core.cloud_edits import edits_key, is_stale, read_edited_cloud
+    from curecon_blender.core.cloud.edits import edits_key, is_stale, read_edited_cloud
 
     read_edited_cloud(folder / "cloud.ply")
     is_stale(folder / "cloud.ply")
@@ -198,7 +199,7 @@ def _read_removed(folder: Path) -> None:
 
 
 def _view() -> Any:
-    from curecon_blender.core.types import View
+    from curecon_blender.core.base.records import View
 
     pose = np.array([[1.0, 0, 0, 0.5], [0, 1, 0, 0.25], [0, 0, 1, 2]])
     return View(
@@ -226,8 +227,8 @@ def _depth_cases(folder: Path) -> st.SearchStrategy[tuple[str, bytes]]:
 
 
 def _read_depth(folder: Path) -> None:
-    from curecon_blender.core.depth import _is_finished
-    from curecon_blender.core.fusion import _read_arrays
+    from curecon_blender.core.cloud.fuse import _read_arrays
+    from curecon_blender.core.depth.estimate import _is_finished
 
     view = _view()
     _is_finished(folder / "depth" / f"{PHOTO}.npz", view, "k")
@@ -240,7 +241,7 @@ def _told() -> Any:
 
 
 def _make_points(folder: Path) -> None:
-    from curecon_blender.core import sparse_points
+    from curecon_blender.core.views import sparse_points
 
     sparse_points.write(folder, PHOTO, np.ones((2, 4), np.float32))
 
@@ -252,7 +253,8 @@ def _points_cases(folder: Path) -> st.SearchStrategy[tuple[str, bytes]]:
 
 
 def _read_points(folder: Path) -> None:
-    from curecon_blender.core import refinement, sparse_points
+    from curecon_blender.core.network import refinement
+    from curecon_blender.core.views import sparse_points
 
     found = sparse_points.read(folder, _told())
     assert found.shape == (2, 4)
@@ -262,10 +264,12 @@ def _read_points(folder: Path) -> None:
 # ---- the workspace's JSON
 
 def _make_workspace(folder: Path) -> None:
-    from curecon_blender.core import alignment, components, georeference
-    from curecon_blender.core.pipeline import _photo_set_to_json
-    from curecon_blender.core.types import Component, Frame, GeoPosition, Gimbal, Photo, PhotoSet, SkippedPhoto
-    from curecon_blender.core.workspace import StageRecord, Workspace
+    from curecon_blender.core.base.records import Component, Frame, GeoPosition, Gimbal, Photo, PhotoSet, SkippedPhoto
+    from curecon_blender.core.run.pipeline import _photo_set_to_json
+    from curecon_blender.core.run.workspace import StageRecord, Workspace
+    from curecon_blender.core.site import adjustment as alignment
+    from curecon_blender.core.sparse import placement as georeference
+    from curecon_blender.core.views import record as components
 
     place = GeoPosition(latitude=24.6, longitude=117.0, altitude=530.0)
     frame = Frame(scale="metres", up="gps", north=True, origin=place, gps_residual=0.4, note="Metres.")
@@ -297,7 +301,8 @@ def _json_cases(name: str) -> Callable[[Path], st.SearchStrategy[tuple[str, byte
 
 
 def _read_views(folder: Path) -> None:
-    from curecon_blender.core import alignment, components
+    from curecon_blender.core.site import adjustment as alignment
+    from curecon_blender.core.views import record as components
 
     for component in components.read(folder):
         for path in (component.sparse, component.cloud, *(view.image for view in component.views)):
@@ -311,7 +316,7 @@ def _read_views(folder: Path) -> None:
 
 
 def _read_frame(folder: Path) -> None:
-    from curecon_blender.core import georeference
+    from curecon_blender.core.sparse import placement as georeference
 
     frame = georeference.read_frame(folder / "sparse" / "0")
     if frame.origin is not None:
@@ -319,8 +324,8 @@ def _read_frame(folder: Path) -> None:
 
 
 def _read_adjustment(folder: Path) -> None:
-    from curecon_blender.core import alignment
-    from curecon_blender.core.types import Frame
+    from curecon_blender.core.base.records import Frame
+    from curecon_blender.core.site import adjustment as alignment
 
     adjustment = alignment.read(folder / "sparse" / "0")
     assert np.isfinite(np.linalg.inv(adjustment.matrix)).all()
@@ -329,21 +334,21 @@ def _read_adjustment(folder: Path) -> None:
 
 
 def _read_photo_set(folder: Path) -> None:
-    from curecon_blender.core import pipeline
+    from curecon_blender.core.run import pipeline
 
     for photo in pipeline._photo_set_from_json(folder / "photos.json").photos:
         assert Path(photo.name).name == photo.name
 
 
 def _read_times(folder: Path) -> None:
-    from curecon_blender.core import capture
+    from curecon_blender.core.photos import capture
 
     if times := capture.read_times(folder):
         capture.to_utc(capture.middle_time(times), 117.0)
 
 
 def _read_marker(folder: Path) -> None:
-    from curecon_blender.core.workspace import Workspace
+    from curecon_blender.core.run.workspace import Workspace
 
     with Workspace(folder) as workspace:
         if record := workspace.record("depth"):
@@ -353,7 +358,8 @@ def _read_marker(folder: Path) -> None:
 def _read_speeds(folder: Path) -> None:
     import statistics
 
-    from curecon_blender.core import cost, matching
+    from curecon_blender.core.run import cost
+    from curecon_blender.core.sparse import matching
 
     for ratios in cost._read(folder / "speeds.json").values():
         assert not ratios or statistics.median(ratios) > 0
@@ -369,7 +375,7 @@ def _make_message(folder: Path) -> None:
 
 
 def _message_cases(folder: Path) -> st.SearchStrategy[tuple[str, bytes]]:
-    from curecon_blender.core import messages as m
+    from curecon_blender.core.base import messages as m
 
     seeds = [m.StageStarted(stage="depth", index=0, count=2), m.Warning(text="x", photo="y"), m.Log(text="x"),
              m.Progress(stage="depth", done=1, total=2, overall=0.5, eta=3.0), m.Result(summary={"points": 1}),
@@ -378,7 +384,7 @@ def _message_cases(folder: Path) -> st.SearchStrategy[tuple[str, bytes]]:
 
 
 def _read_message(folder: Path) -> None:
-    from curecon_blender.core import messages as m
+    from curecon_blender.core.base import messages as m
 
     try:
         message = m.decode((folder / "line").read_text(encoding="utf-8", errors="replace"))
@@ -419,8 +425,8 @@ def _model_cases(kind: str) -> Callable[[Path], st.SearchStrategy[tuple[str, byt
 
 def _model_reader(kind: str) -> Callable[[Path], None]:
     def read(folder: Path) -> None:
-        from curecon_blender.core import colmap_model
-        from curecon_blender.core.undistortion import undistorted_camera
+        from curecon_blender.core.sparse import models as colmap_model
+        from curecon_blender.core.views.undistortion import undistorted_camera
 
         for found in colmap_model.find_models(folder / kind):
             model = colmap_model.read_model(found)
@@ -437,8 +443,8 @@ def _model_reader(kind: str) -> Callable[[Path], None]:
 
 
 def _make_weights(folder: Path) -> None:
-    from curecon_blender.core import weights
-    from curecon_blender.core.network import LCMMVSNet, NetworkConfig
+    from curecon_blender.core.network import weights
+    from curecon_blender.core.network.model import LCMMVSNet, NetworkConfig
 
     config = NetworkConfig(channels=(2, 2, 2), groups=(2, 2, 2), regulariser_channels=2, context=0)
     weights.save_network(LCMMVSNet(config), folder / "own.safetensors", {"samples": 1})
@@ -458,7 +464,7 @@ def _weights_cases(folder: Path) -> st.SearchStrategy[tuple[str, bytes]]:
 
 
 def _read_weights(folder: Path) -> None:
-    from curecon_blender.core import weights
+    from curecon_blender.core.network import weights
 
     path = folder / "own.safetensors"
     record = path.with_suffix(".json")

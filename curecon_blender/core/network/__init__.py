@@ -1,0 +1,3 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""LCM-MVSNet: the model, its layers, its weights."""

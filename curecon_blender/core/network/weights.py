@@ -1,0 +1,100 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The shipped weights: strict, checksummed loading of the network."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import safetensors.torch
+import torch
+
+from ..base.errors import OutOfMemory, WeightsError, ran_out_of_memory
+from ..base.files import write_json
+from ..base.reading import build, read_bytes, read_json
+from .model import LCMMVSNet, NetworkConfig
+
+SHIPPED = Path(__file__).parents[2] / "weights" / "lcm_mvsnet.safetensors"
+_MOST_BYTES = 1 << 30  # of a weights file; the shipped ones have 5 MB
+_WIDEST = 512  # channels, groups, hypotheses
+_REMEDY = "Install CU-Recon again, or choose a weights file that came with its .json beside it."
+
+
+def describe(path: Path | None = None) -> dict[str, Any]:
+    """The JSON record beside a weights file (None: the shipped one): sha256, config, samples seen.
+
+    Raises WeightsError when it is missing or damaged.
+    """
+    weights = path or SHIPPED
+    record = weights.with_suffix(".json")
+    try:
+        found: dict[str, Any] = build(dict, read_json(record, 1 << 20))
+        build(str, found["sha256"], "sha256")
+        build(dict, found["config"], "config")
+        return found
+    except FileNotFoundError as error:
+        raise WeightsError(f"{record} is missing.", remedy=_REMEDY, path=record) from error
+    except (OSError, ValueError, KeyError) as error:
+        raise WeightsError(f"{record} is damaged ({error}).", remedy=_REMEDY, path=record) from error
+
+
+def load_network(path: Path | None = None) -> LCMMVSNet:
+    """The network with its weights (None: the shipped ones), in evaluation mode on the CPU.
+
+    Raises WeightsError when the file is missing, fails its checksum, or does not fit the network to the letter.
+    """
+    weights = path or SHIPPED
+    record = describe(path)
+    try:
+        content = read_bytes(weights, _MOST_BYTES)
+    except OSError as error:
+        raise WeightsError(f"The network's weights {weights} are missing.", remedy=_REMEDY, path=weights) from error
+    except ValueError as error:
+        raise WeightsError(f"The network's weights {weights}: {error}.", remedy=_REMEDY, path=weights) from error
+    if hashlib.sha256(content).hexdigest() != record["sha256"]:
+        raise WeightsError(
+            f"The network's weights {weights} are corrupted (their checksum is wrong).", remedy=_REMEDY, path=weights
+        )
+    try:
+        config, tensors = _config(record["config"]), safetensors.torch.load(content)
+        with torch.device("meta"):  # takes no memory: whether they fit is known before any is asked for
+            LCMMVSNet(config).load_state_dict(tensors, strict=True, assign=True)
+        network = LCMMVSNet(config)
+        network.load_state_dict(tensors, strict=True)
+    except (RuntimeError, ValueError, TypeError, KeyError, safetensors.SafetensorError) as error:
+        if ran_out_of_memory(error):
+            raise OutOfMemory from error
+        raise WeightsError(
+            f"{weights} holds the weights of another network: {error}", remedy=_REMEDY, path=weights
+        ) from error
+    if not all(bool(tensor.isfinite().all()) for tensor in network.state_dict().values()):
+        raise WeightsError(f"{weights} holds weights that are no numbers.", remedy=_REMEDY, path=weights)
+    return network.eval()
+
+
+def _config(fields: Any) -> NetworkConfig:
+    """Raises ValueError, for sizes that no computer could hold, too."""
+    config: NetworkConfig = build(NetworkConfig, fields)
+    sizes = (*config.channels, *config.groups, *config.hypotheses, *config.interval_ratios, config.regulariser_channels)
+    extras = config.context, config.refinement
+    if not all(0 < size <= _WIDEST for size in sizes) or not all(0 <= size <= _WIDEST for size in extras):
+        raise ValueError(f"its sizes are not within 1 and {_WIDEST}")
+    if config.hypothesis_step is not None and not 0.1 <= config.hypothesis_step <= 100:
+        raise ValueError("its hypothesis_step is not within 0.1 and 100")
+    return config
+
+
+def save_network(network: LCMMVSNet, path: Path, facts: dict[str, Any]) -> None:
+    """Write a weights file with its JSON record (checksum, config, and `facts` such as the samples seen)."""
+    tensors = {
+        name: value.detach().cpu().contiguous() if value.dim() else value.detach().cpu()
+        for name, value in network.state_dict().items()
+    }
+    content = safetensors.torch.save({n: t.to(torch.float32) if t.is_floating_point() else t
+                                      for n, t in tensors.items()})
+    path.write_bytes(content)
+    write_json(path.with_suffix(".json"),
+               {"sha256": hashlib.sha256(content).hexdigest(), "config": asdict(network.config), **facts})

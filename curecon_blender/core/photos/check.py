@@ -1,0 +1,304 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The photo check: a folder of anything in, verified photos with their camera priors out. It writes nothing."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import unicodedata
+from collections import Counter
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from ..base import images
+from ..base.errors import PhotoError
+from ..base.messages import Reporter
+from ..base.records import Photo, PhotoSet, SkippedPhoto
+from . import metadata, overlap
+
+MIN_PHOTOS = 3
+MIN_SIDE = 200  # pixels: below it there is no detail to match
+SHARPNESS_SIZE = 1000  # pixels: photos are compared at this longest side, whatever the camera's resolution
+BLURRED = 0.65  # real sharp sets stay above 0.75; motion of 1/300 of the photo's width brings one below 0.6
+# Shares of a photo where no channel tells anything. Sound sets reach 0.29 white (a façade before a bright sky) and 0.04
+# black; the same photos taken 3 stops too bright have 0.3 to 0.6 white, 5 stops too dark 0.1 to 0.4 black.
+WHITE, OVEREXPOSED = 250, 0.35
+BLACK, UNDEREXPOSED = 10, 0.15
+THUMBNAIL_SIZE = 256  # pixels, longest side
+MOST_THUMBNAILS = 48
+_MAX_STEM = 50  # characters of a name, so that NAME.jpg and NAME.npz stay within every file system's limit
+_OTHER_KINDS = {
+    ".dng": "raw", ".cr2": "raw", ".cr3": "raw", ".nef": "raw", ".arw": "raw", ".raf": "raw", ".orf": "raw",
+    ".rw2": "raw", ".heic": "HEIC", ".heif": "HEIC", ".mp4": "video", ".mov": "video", ".avi": "video", ".mts": "video",
+}
+_OTHER_REMEDIES = {
+    "raw": "Export the raw photos as JPEG.", "HEIC": "Export the HEIC photos as JPEG.",
+    "video": "Save still frames of the video as JPEG.",
+}
+
+
+def check_photos(source: Path, reporter: Reporter) -> PhotoSet:
+    """Find the photos in `source` and one level of folders below it, decode each, and read what its metadata says.
+
+    Files that cannot be used are left out with a reason and a warning; blurred and badly exposed photos are used, with
+    a warning.
+    Raises PhotoError when `source` is missing or no folder, or holds fewer than MIN_PHOTOS usable photos.
+    """
+    paths = find_photos(source)
+    results: list[Photo | SkippedPhoto] = []
+    threads = images.readers(max(map(_pixels, paths)), os.cpu_count() or 1)
+    workers = ThreadPoolExecutor(threads, thread_name_prefix="photos")
+    try:
+        for result in workers.map(_examine, paths):
+            results.append(result)
+            reporter.progress(len(results), len(paths))
+    finally:
+        workers.shutdown(cancel_futures=True)
+    examined, skipped = _without_duplicates(results)
+    for skip in skipped:
+        reporter.warning(f"Left out: {skip.reason}")
+    if len(examined) < MIN_PHOTOS:
+        raise _too_few(source, len(examined), skipped)
+    photos = _with_names(source, _with_sharpness(examined))
+    for problem in ("blurred", "overexposed", "underexposed"):
+        if names := [photo.name for photo in photos if problem in _problems(photo)]:
+            text = "1 photo looks" if len(names) == 1 else f"{len(names)} photos look"
+            reporter.warning(f"{text} {problem} and will still be used: {_listed(names)}.")
+    return PhotoSet(photos=tuple(photos), skipped=tuple(skipped))
+
+
+def find_photos(source: Path) -> list[Path]:
+    """The picture files in `source` and one level below it (drones write DCIM/100MEDIA), in natural order of names.
+
+    Hidden files and folders are passed over. Raises PhotoError when there are none.
+    """
+    if source.is_file():
+        raise PhotoError(
+            f"{source} is a single file: a reconstruction needs a folder of photos.",
+            remedy="Choose the folder that holds all the photos of the site.", path=source,
+        )
+    if not source.is_dir():
+        raise PhotoError(f"The folder {source} does not exist.", remedy="Choose the folder of the photos.", path=source)
+    folders = _visible(source, folders=True)
+    if (source / "workspace.json").exists():  # the photos' folder is the workspace too: do not take up our own results
+        folders = []
+    files = [
+        path
+        for folder in (source, *sorted(folders, key=lambda folder: _natural(folder.name)))
+        for path in sorted(_visible(folder, folders=False), key=lambda path: _natural(path.name))
+    ]
+    found = [path for path in files if path.suffix.lower() in images.SUFFIXES]
+    if not found:
+        raise _none_found(source, files)
+    return found
+
+
+def ground_sampling_distance(photo_set: PhotoSet) -> float | None:
+    """Metres on the ground per pixel below the drone: the median of height above take-off over focal length.
+
+    None when no photo tells both.
+    """
+    distances = [
+        photo.relative_altitude / photo.focal_px for photo in photo_set.photos
+        if photo.focal_px and photo.relative_altitude is not None and photo.relative_altitude > 0
+    ]
+    return float(np.median(distances)) if distances else None
+
+
+def time_span(photo_set: PhotoSet) -> tuple[str, str] | None:
+    """When the first and the last photo were taken, as ISO 8601 in the camera's time; None when no photo tells."""
+    times = sorted(photo.time for photo in photo_set.photos if photo.time)
+    return (times[0], times[-1]) if times else None
+
+
+def write_thumbnails(photo_set: PhotoSet, folder: Path) -> dict[str, Path]:
+    """Small pictures of the first MOST_THUMBNAILS doubtful photos, in `folder`: their files by the photos' names."""
+    doubtful = [photo for photo in photo_set.photos if _problems(photo)][:MOST_THUMBNAILS]
+    files = {photo.name: folder / f"{photo.name}.jpg" for photo in doubtful}
+    for photo in doubtful:
+        images.write_jpeg(files[photo.name], images.read_rgb(photo.path, THUMBNAIL_SIZE), quality=85)
+    return files
+
+
+def describe(photo_set: PhotoSet) -> dict[str, Any]:
+    """A summary for people and for `--json`: plain numbers, strings and lists."""
+    photos = photo_set.photos
+    distance = ground_sampling_distance(photo_set)
+    span = time_span(photo_set)
+    sizes = Counter((photo.width, photo.height) for photo in photos)
+    return {
+        "photos": len(photos),
+        "cameras": len({photo.camera for photo in photos}),
+        "size": list(sizes.most_common(1)[0][0]) if sizes else None,  # of most photos: [width, height]
+        "with_focal": sum(photo.focal_px is not None for photo in photos),
+        "with_gps": sum(photo.gps is not None for photo in photos),
+        "with_gimbal": sum(photo.gimbal is not None for photo in photos),
+        "ground_sampling_distance_mm": None if distance is None else round(1000 * distance, 2),
+        "taken": list(span) if span else None,
+        "overlap": _overlap(photos),
+        "doubtful": [
+            {"name": photo.name, "path": str(photo.path), "problems": _problems(photo)}
+            for photo in photos if _problems(photo)
+        ],
+        "skipped": [{"path": str(skip.path), "reason": skip.reason} for skip in photo_set.skipped],
+    }
+
+
+def _overlap(photos: tuple[Photo, ...]) -> dict[str, Any]:
+    found = overlap.estimate(photos)
+    forward, side = (None if share is None else round(share, 2) for share in (found.forward, found.side))
+    return {"forward": forward, "side": side, "weak": list(found.weak), "unknown": found.unknown}
+
+
+def _visible(folder: Path, *, folders: bool) -> list[Path]:
+    """A folder's entries without hidden ones, among them macOS's `._` shadows of photos on memory cards."""
+    try:
+        entries = [entry for entry in folder.iterdir() if not entry.name.startswith(".")]
+        return sorted(entry for entry in entries if (entry.is_dir() if folders else entry.is_file()))
+    except PermissionError as error:
+        remedy = "Change its permissions, or copy the photos elsewhere."
+        raise PhotoError(f"No permission to read the folder {folder}.", remedy=remedy, path=folder) from error
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    """A sort key that puts DJI_2 before DJI_10."""
+    parts = re.split(r"(\d+)", name.casefold())  # text at even places, digits at odd ones
+    return [(int(part), "") if place % 2 else (0, part) for place, part in enumerate(parts)]
+
+
+def _pixels(path: Path) -> int:
+    """What a photo's header promises; 0 for one that will be left out."""
+    try:
+        with images.open_image(path) as image:
+            return image.width * image.height
+    except PhotoError:
+        return 0
+
+
+def _examine(path: Path) -> Photo | SkippedPhoto:
+    if not images.is_text(path):
+        return SkippedPhoto(path=path, reason=f"{images.shown(path)} has a name or a folder whose letters are no text.")
+    try:
+        with images.open_image(path) as image:
+            told = metadata.from_image(image)
+            width, height = images.oriented_size(image)
+            if min(width, height) < MIN_SIDE:
+                reason = f"{images.shown(path)} is only {width}x{height} pixels."
+                return SkippedPhoto(path=path, reason=reason)
+            rgb = images.decode(image, path, SHARPNESS_SIZE)
+    except PhotoError as error:
+        return SkippedPhoto(path=path, reason=error.message)
+    return Photo(
+        name=path.name, path=path, width=width, height=height,
+        camera=f"{told.camera or 'unknown camera'} {width}x{height}", focal_px=told.focal_px, gps=told.gps,
+        gimbal=told.gimbal, relative_altitude=told.relative_altitude, time=told.time, sharpness=_sharpness(rgb),
+        overexposed=bool((rgb.min(axis=2) >= WHITE).mean() >= OVEREXPOSED),
+        underexposed=bool((rgb.max(axis=2) <= BLACK).mean() >= UNDEREXPOSED),
+        digest=hashlib.sha256(rgb.tobytes()).hexdigest(),
+    )
+
+
+def _problems(photo: Photo) -> list[str]:
+    """What makes a usable photo doubtful."""
+    return [problem for problem in ("blurred", "overexposed", "underexposed") if getattr(photo, problem)]
+
+
+def _sharpness(rgb: np.ndarray) -> float:
+    """Variance of the Laplacian over what is left of it after a blur of 2 pixels.
+
+    The ratio tells blur from scenes with little detail: the plain variance falls as much over a lawn as in motion.
+    """
+    grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32)
+    fine = float(cv2.Laplacian(grey, cv2.CV_32F).var())
+    coarse = float(cv2.Laplacian(cv2.GaussianBlur(grey, (0, 0), 2), cv2.CV_32F).var())
+    return fine / coarse if coarse > 0 else 0.0
+
+
+def _with_sharpness(photos: list[Photo]) -> list[Photo]:
+    """Sharpness relative to the median of the photos from the same camera."""
+    medians = {}
+    for camera in {photo.camera for photo in photos}:
+        same = [photo.sharpness for photo in photos if photo.camera == camera]
+        medians[camera] = float(np.median(same if len(same) >= MIN_PHOTOS else [p.sharpness for p in photos]))
+    relative = [photo.sharpness / (medians[photo.camera] or 1.0) for photo in photos]
+    return [replace(p, sharpness=round(s, 3), blurred=s < BLURRED) for p, s in zip(photos, relative, strict=True)]
+
+
+def _without_duplicates(
+    results: Iterable[Photo | SkippedPhoto],
+) -> tuple[list[Photo], list[SkippedPhoto]]:
+    first: dict[str, Path] = {}
+    examined: list[Photo] = []
+    skipped: list[SkippedPhoto] = []
+    for result in results:
+        if isinstance(result, SkippedPhoto):
+            skipped.append(result)
+        elif result.digest in first:
+            reason = f"{images.shown(result.path)} is the same picture as {images.shown(first[result.digest])}."
+            skipped.append(SkippedPhoto(path=result.path, reason=reason))
+        else:
+            first[result.digest] = result.path
+            examined.append(result)
+    return examined, skipped
+
+
+def _with_names(source: Path, photos: list[Photo]) -> list[Photo]:
+    """Names that are unique whatever the file system's idea of case, and safe in COLMAP's text format."""
+    clashes = Counter(_safe(photo.path.name).casefold() for photo in photos)
+    taken: set[str] = set()
+    named = []
+    for photo in photos:
+        name = _safe(photo.path.name)
+        if clashes[name.casefold()] > 1 and photo.path.parent != source:
+            name = _safe(f"{photo.path.parent.name}_{photo.path.name}")
+        stem, suffix = os.path.splitext(name)
+        number = 2
+        while name.casefold() in taken:
+            name, number = f"{stem}_{number}{suffix}", number + 1
+        taken.add(name.casefold())
+        named.append(replace(photo, name=name))
+    return named
+
+
+def _safe(name: str) -> str:
+    """Letters and digits of any script, and . _ - ( ) stay; all else becomes _: spaces end a name in COLMAP's text
+    format, and quotes and the like are not allowed in a Windows file name."""
+    stem, suffix = os.path.splitext(unicodedata.normalize("NFC", name))
+    stem = "".join(c if unicodedata.category(c)[0] in "LMN" or c in "._-()" else "_" for c in stem)
+    return (stem.strip(".")[:_MAX_STEM] or "photo") + suffix
+
+
+def _none_found(source: Path, files: list[Path]) -> PhotoError:
+    if not files:
+        return PhotoError(
+            f"The folder {source} is empty.", remedy="Choose the folder that holds the photos themselves.", path=source
+        )
+    kinds = Counter(path.suffix.lower() or "files without a suffix" for path in files)
+    listed = _listed([f"{count} {kind.upper() if kind[0] == '.' else kind}" for kind, count in kinds.most_common()])
+    known = dict.fromkeys(_OTHER_KINDS[suffix] for suffix in kinds if suffix in _OTHER_KINDS)
+    remedy = " ".join(_OTHER_REMEDIES[kind] for kind in known) or "Choose the folder that holds the photos themselves."
+    return PhotoError(
+        f"There are no JPEG, PNG or TIFF photos in {source}, only other files: {listed}.", remedy=remedy, path=source
+    )
+
+
+def _too_few(source: Path, usable: int, skipped: list[SkippedPhoto]) -> PhotoError:
+    found = f"only {usable} usable photo{'' if usable == 1 else 's'}" if usable else "no usable photo"
+    left_out = f" Left out: {_listed([skip.reason.rstrip('.') for skip in skipped], ';')}." if skipped else ""
+    return PhotoError(
+        f"There is {found} in {source}: a reconstruction needs at least {MIN_PHOTOS}.{left_out}",
+        remedy="Add photos of the same site that overlap by two thirds or more.", path=source,
+    )
+
+
+def _listed(items: list[str], separator: str = ",", most: int = 10) -> str:
+    more = [f"and {len(items) - most} more"] if len(items) > most else []
+    return f"{separator} ".join([*items[:most], *more])

@@ -1,0 +1,230 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a photo's EXIF and the drone's XMP say of its camera, place and attitude. A bad tag loses only that tag."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from PIL import ExifTags, Image
+
+from ..base.images import exif_tags, open_image, oriented_size
+from ..base.records import GeoPosition, Gimbal
+from .capture import FIRST_YEAR, LAST_YEAR
+
+_MOST_XMP = 1 << 20  # bytes; drones write some 4 kB
+_MOST_TEXT = 100  # characters of a tag
+_DJI = "{http://www.dji.com/drone-dji/1.0/}"
+_FILM_DIAGONAL = math.hypot(36, 24)  # mm
+_FOCAL_PLANE_UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # EXIF FocalPlaneResolutionUnit, in mm
+# Sensor widths in mm of the drone cameras whose files carry no 35 mm equivalent (makers' specifications).
+_SENSOR_WIDTHS = {
+    "FC220": 6.17, "FC300C": 6.17, "FC300S": 6.17, "FC300X": 6.17, "FC330": 6.17, "FC350": 6.17, "FC550": 17.3,
+    "FC6310": 13.2, "FC6310R": 13.2, "FC6310S": 13.2, "FC6510": 13.2, "FC6520": 17.3, "FC7203": 6.17, "FC7303": 6.17,
+    "L1D-20c": 13.2,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Metadata:
+    """See Photo in types.py for units; every field is None (or empty) where the photo does not tell."""
+
+    camera: str  # make, model, focal length and serial number: photos with the same share intrinsics
+    focal_px: float | None
+    gps: GeoPosition | None
+    gimbal: Gimbal | None
+    relative_altitude: float | None
+    time: str | None
+
+
+def read_metadata(path: Path) -> Metadata:
+    """The metadata of a photo. Raises PhotoError when the file is missing or not a picture."""
+    with open_image(path) as image:
+        return from_image(image)
+
+
+def from_image(image: Image.Image) -> Metadata:
+    """The metadata of an image that is open and not yet decoded."""
+    main = exif_tags(image)
+    exif = exif_tags(image, ExifTags.IFD.Exif)
+    dji = _dji_tags(image.info.get("xmp"))
+    model = _text(main.get(ExifTags.Base.Model))
+    return Metadata(
+        camera=_camera(main, exif, model),
+        focal_px=_focal_px(exif, dji, model, *oriented_size(image)),
+        gps=_position(exif_tags(image, ExifTags.IFD.GPSInfo), dji),
+        gimbal=_gimbal(dji),
+        relative_altitude=_height(dji.get("RelativeAltitude")),
+        time=_time(main, exif),
+    )
+
+
+def _camera(main: Mapping[int, Any], exif: Mapping[int, Any], model: str) -> str:
+    make = _text(main.get(ExifTags.Base.Make))
+    parts = [make if make and not model.startswith(make) else "", model]
+    focal = _number(exif.get(ExifTags.Base.FocalLength))
+    serial = _text(exif.get(ExifTags.Base.BodySerialNumber))
+    if focal:
+        parts.append(f"{focal:g} mm")
+    if serial:
+        parts.append(f"no. {serial}")
+    return " ".join(part for part in parts if part)
+
+
+def _focal_px(exif: Mapping[int, Any], dji: Mapping[str, str], model: str, width: int, height: int) -> float | None:
+    """Focal length in pixels of this picture: the drone's own calibration, else EXIF's 35 mm equivalent, else the
+    focal length over the sensor's width."""
+    longest, shortest = max(width, height), min(width, height)
+    # The picture as the camera took it, for tags that count its pixels: it may have been scaled down since.
+    taken = max(_number(exif.get(tag)) or 0.0 for tag in (ExifTags.Base.ExifImageWidth, ExifTags.Base.ExifImageHeight))
+    equivalent = None
+    if film := _positive(exif.get(ExifTags.Base.FocalLengthIn35mmFilm)):
+        # Makers give the equivalent by the diagonal of the whole sensor. Pictures at 16:9 are cropped from sensors
+        # of 4:3 at full width, and their tag stays that of the whole sensor.
+        sensor_height = 0.75 * longest if longest > 1.6 * shortest else shortest
+        equivalent = film * math.hypot(longest, sensor_height) / _FILM_DIAGONAL
+
+    calibrated = _calibrated_focal(dji, longest, taken)
+    if calibrated and equivalent and not 0.8 < calibrated / equivalent < 1.25:
+        calibrated = None  # another lens's or zoom's, or the picture was cropped
+    candidates = [calibrated, equivalent]
+    if focal := _positive(exif.get(ExifTags.Base.FocalLength)):
+        resolution = _positive(exif.get(ExifTags.Base.FocalPlaneXResolution))
+        unit = _FOCAL_PLANE_UNITS.get(exif.get(ExifTags.Base.FocalPlaneResolutionUnit, 2))
+        if resolution and unit:
+            candidates.append(focal * resolution / unit * longest / (taken or longest))
+        if model in _SENSOR_WIDTHS:
+            candidates.append(focal * longest / _SENSOR_WIDTHS[model])
+    # Beyond these (127 degrees of view, a 360 mm equivalent) it is a tag gone wrong.
+    plausible = (f for f in candidates if f is not None and 0.25 < f / longest < 10)
+    return next(plausible, None)
+
+
+def _calibrated_focal(dji: Mapping[str, str], longest: int, taken: float) -> float | None:
+    """The drone's calibration, in pixels of the picture as taken, brought to this picture's size."""
+    if centre := _positive(dji.get("CalibratedOpticalCenterX")):
+        taken = 2 * centre
+    scale = longest / taken if taken else 1.0
+    dewarp = dji.get("DewarpData", "").partition(";")[2].split(",")  # date; fx, fy, cx, cy, k1...
+    if len(dewarp) >= 9 and (fx := _positive(dewarp[0])) and (fy := _positive(dewarp[1])):
+        return scale * math.sqrt(fx * fy)
+    calibrated = _positive(dji.get("CalibratedFocalLength"))
+    return scale * calibrated if calibrated else None
+
+
+def _position(tags: Mapping[int, Any], dji: Mapping[str, str]) -> GeoPosition | None:
+    latitude = _angle(tags.get(ExifTags.GPS.GPSLatitude), tags.get(ExifTags.GPS.GPSLatitudeRef), "NS")
+    longitude = _angle(tags.get(ExifTags.GPS.GPSLongitude), tags.get(ExifTags.GPS.GPSLongitudeRef), "EW")
+    if not _is_place(latitude, longitude) or _text(tags.get(ExifTags.GPS.GPSStatus)) == "V":
+        latitude = _number(dji.get("GpsLatitude"))
+        longitude = _number(dji.get("GpsLongitude", dji.get("GpsLongtitude")))  # DJI's own misspelling, for years
+    altitudes = (_altitude(tags), _height(dji.get("AbsoluteAltitude")))
+    altitude = next((a for a in altitudes if a is not None), None)
+    if latitude is None or longitude is None or altitude is None or not _is_place(latitude, longitude):
+        return None
+    return GeoPosition(latitude=latitude, longitude=longitude, altitude=altitude)
+
+
+def _is_place(latitude: float | None, longitude: float | None) -> bool:
+    if latitude is None or longitude is None or abs(latitude) > 90 or abs(longitude) > 180:
+        return False
+    return abs(latitude) > 1e-6 or abs(longitude) > 1e-6  # 0, 0 is what a receiver without a fix writes
+
+
+def _angle(value: Any, reference: Any, letters: str) -> float | None:
+    """Degrees from EXIF's (degrees, minutes, seconds) and its N, S, E or W; None unless both are sound."""
+    letter = _text(reference).upper()[:1]
+    if not letter or letter not in letters or not isinstance(value, tuple) or len(value) != 3:
+        return None
+    parts = [_number(part) for part in value]
+    if any(part is None or part < 0 for part in parts):
+        return None
+    degrees, minutes, seconds = (part or 0.0 for part in parts)
+    angle = degrees + minutes / 60 + seconds / 3600
+    return -angle if letter == letters[1] else angle
+
+
+def _altitude(tags: Mapping[int, Any]) -> float | None:
+    altitude = _number(tags.get(ExifTags.GPS.GPSAltitude))
+    below_sea = tags.get(ExifTags.GPS.GPSAltitudeRef) in (1, b"\x01")
+    return _height(-altitude if altitude is not None and below_sea else altitude)
+
+
+def _height(value: Any) -> float | None:
+    """Metres, where a drone can be."""
+    height = _number(value)
+    return height if height is not None and -500 < height < 10_000 else None
+
+
+def _gimbal(dji: Mapping[str, str]) -> Gimbal | None:
+    yaw, pitch, roll = (_number(dji.get(f"Gimbal{axis}Degree")) for axis in ("Yaw", "Pitch", "Roll"))
+    if yaw is None or pitch is None or roll is None or max(abs(yaw), abs(pitch), abs(roll)) > 360:
+        return None
+    return Gimbal(yaw=yaw, pitch=pitch, roll=roll)
+
+
+def _time(main: Mapping[int, Any], exif: Mapping[int, Any]) -> str | None:
+    offset = _text(exif.get(ExifTags.Base.OffsetTimeOriginal))
+    for value in (exif.get(ExifTags.Base.DateTimeOriginal), main.get(ExifTags.Base.DateTime)):
+        try:
+            time = datetime.strptime(_text(value), "%Y:%m:%d %H:%M:%S")
+        except ValueError:
+            continue
+        if FIRST_YEAR <= time.year <= LAST_YEAR:
+            known = re.fullmatch(r"[+-](0\d|1[0-4]):[0-5]\d", offset, re.ASCII)
+            return time.isoformat() + (offset if known else "")
+    return None
+
+
+def _dji_tags(packet: bytes | str | None) -> dict[str, str]:
+    """DJI's values in an XMP packet, by name, whether written as attributes or as elements."""
+    if not isinstance(packet, bytes | str) or len(packet) > _MOST_XMP:
+        return {}
+    text = packet.decode("utf-8", "replace") if isinstance(packet, bytes) else packet
+    # The packet's wrapper may be padded; a document type, which XMP has no use for, could define entities.
+    start, end = text.find("<x:xmpmeta"), text.rfind("</x:xmpmeta>")
+    if start >= 0 and end >= 0:
+        text = text[start : end + len("</x:xmpmeta>")]
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        return {}
+    try:
+        root = ElementTree.fromstring(text.strip("\x00 \r\n\t\ufeff"))
+    except ElementTree.ParseError:
+        return {}
+    tags = {}
+    for element in root.iter():
+        for key, value in (*element.attrib.items(), (element.tag, element.text)):
+            if key.startswith(_DJI) and value and value.strip():
+                tags[key.removeprefix(_DJI)] = value.strip()
+    return tags
+
+
+def _number(value: Any) -> float | None:
+    """A finite float, or None for whatever else a tag may hold."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError, ArithmeticError):
+        return None
+    return number if math.isfinite(number) else None
+
+
+def _positive(value: Any) -> float | None:
+    number = _number(value)
+    return number if number is not None and number > 0 else None
+
+
+def _text(value: Any) -> str:
+    """A tag's text up to its first NUL, on one line, without control characters."""
+    if isinstance(value, bytes):
+        value = value.decode("ascii", "replace")
+    if not isinstance(value, str):
+        return ""
+    words = " ".join(value.split("\x00", 1)[0].split())
+    return "".join(letter for letter in words if letter.isprintable())[:_MOST_TEXT]

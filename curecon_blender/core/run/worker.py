@@ -1,0 +1,282 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The process that does the work, for a person, a script or the add-on.
+
+A person sees a progress bar, a pipe sees plain lines, and the add-on (`--messages`) gets one JSON message a line and
+may write `cancel` to standard input; when standard input closes, the parent is gone and the worker ends.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import os
+import signal
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import TextIO
+
+from ..base import messages
+from ..base.errors import CuReconError, OutOfMemory, SetupError, ran_out_of_memory
+from ..base.messages import Message, Reporter
+from ..base.options import QUALITIES, STAGES, SURFACE_STAGES, Options
+
+EXIT_CODES = """exit codes:
+  0  done                     5  workspace: read-only, full, in use, newer
+  1  a fault in CU-Recon      6  weights missing or corrupted
+  2  wrong arguments          7  device not there, or memory budget too small
+  3  photos unusable          8  no point that enough views agree on
+  4  cameras not found        9  a library is missing from this Python
+ 10  no mesh or no texture can be made     11  out of memory
+130  cancelled
+"""
+LIBRARIES = ("numpy", "PIL", "psutil", "cv2", "safetensors", "scipy", "torch", "pycolmap", "xatlas", "numba")
+REQUIREMENTS = Path(__file__).resolve().parents[2] / "requirements.txt"
+PLAIN_LINE_EVERY = 10.0  # seconds between progress lines in a pipe
+ORPHAN_GRACE = 3.0  # seconds a worker may take to stop by itself once its parent is gone; a restart waits for it
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one command; returns its exit code."""
+    options = _parser().parse_args(arguments)
+    out = _private_stdout()
+    cancel = threading.Event()
+    if options.messages:
+        threading.Thread(target=_listen, args=(cancel,), daemon=True).start()
+        sink: Callable[[Message], None] = _MessageSink(out)
+    else:
+        sink = _Terminal(sys.stderr)
+    reporter = Reporter(sink, cancel.is_set)
+
+    def fail(error: CuReconError) -> int:
+        sink(messages.failure(error))
+        if options.json:
+            print(json.dumps({"error": error.message, "kind": error.kind, "remedy": error.remedy,
+                              "path": error.path, "exit_code": error.exit_code}), file=out, flush=True)
+        return error.exit_code
+
+    try:
+        _require_libraries()
+        # After the libraries: pycolmap's logging installs handlers of its own when it is imported.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: cancel.set())
+        summary = _run(options, reporter)
+    except CuReconError as error:
+        return fail(error)
+    except Exception as error:  # the boundary of the process: a fault must reach the user, whatever it is
+        traceback.print_exc(file=sys.stderr)
+        if ran_out_of_memory(error):
+            return fail(OutOfMemory())
+        sink(messages.Failure(
+            kind="fault", message=f"CU-Recon failed: {type(error).__name__}: {error}",
+            remedy="Please report this with the log; running again goes on from the last finished photo.",
+        ))
+        return 1
+    reporter.result(summary)
+    if options.json:
+        print(json.dumps(summary), file=out, flush=True)
+    return 0
+
+
+def _run(options: argparse.Namespace, reporter: Reporter) -> dict[str, object]:
+    from . import pipeline
+
+    if options.command == "self-check":
+        from .self_check import self_check
+
+        return self_check(options.device, reporter)
+    if options.command == "check":
+        return pipeline.check(_options(options), options.thumbnails, reporter)
+    return pipeline.reconstruct(_options(options), reporter)
+
+
+def _options(options: argparse.Namespace) -> Options:
+    fields = {name: getattr(options, name) for name in Options.__dataclass_fields__ if hasattr(options, name)}
+    return Options(**{**fields, "workspace": options.workspace or options.photos})
+
+
+def _require_libraries() -> None:
+    for name in LIBRARIES:
+        try:
+            importlib.import_module(name)
+        except ModuleNotFoundError as error:
+            raise SetupError(
+                f"The Python at {sys.executable} has no {error.name or name}.",
+                remedy="Install the CU-Recon zip that is made for this system and this Blender, which brings its "
+                f"libraries; or run {sys.executable} -m pip install -r {REQUIREMENTS}; or choose another Worker "
+                "Python in the add-on's preferences.", path=sys.executable,
+            ) from error
+        except (ImportError, OSError) as error:  # it is there; torch raises OSError for a missing DLL
+            missing = ("Install Microsoft's Visual C++ Redistributable (x64) and start Blender again"
+                       if sys.platform == "win32" else "Install the CU-Recon zip again")
+            raise SetupError(
+                f"The Python at {sys.executable} cannot load {name}: {error}",
+                remedy=f"{missing}, or choose another Worker Python in the add-on's preferences.", path=sys.executable,
+            ) from error
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m curecon_blender.core", description="From drone photos to a coloured, measured point cloud.",
+        epilog=EXIT_CODES, formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--messages", action="store_true", help="speak the add-on's protocol")
+    commands = parser.add_subparsers(dest="command", required=True)
+    run = commands.add_parser("reconstruct", help="photos to cloud; run it again to go on or to do nothing",
+                              epilog=EXIT_CODES, formatter_class=argparse.RawDescriptionHelpFormatter)
+    default = {name: field.default for name, field in Options.__dataclass_fields__.items()}
+    run.add_argument("photos", type=Path, help="folder of photos (JPEG, PNG, TIFF)")
+    run.add_argument("--workspace", type=Path, required=True, help="folder for everything that is made")
+    run.add_argument("--quality", choices=QUALITIES, default=default["quality"])
+    run.add_argument("--model", type=Path, help="a COLMAP model (text or binary) in place of the sparse stage")
+    run.add_argument("--max-image-size", type=_positive(int), help="longest side of a depth map in pixels")
+    run.add_argument("--views", type=_positive(int), help="source views per photo")
+    run.add_argument("--until", choices=STAGES, default=default["until"], help="stop after this stage")
+    run.add_argument("--half-memory", action="store_true",
+                     help="half the memory budget for the depth maps, where a run before ran out of memory")
+    run.add_argument("--precision", choices=("auto", "fp32", "bf16"), default=default["precision"])
+    run.add_argument("--scheduler", default=default["scheduler"], metavar="ADDRESS",
+                     help="make the depth maps on the workers of the Dask cluster at tcp://HOST:PORT")
+    run.add_argument("--mapper", choices=("auto", "incremental", "global"), default=default["mapper"])
+    run.add_argument("--weights", type=Path, help="other weights (.safetensors with its .json beside it)")
+    run.add_argument("--min-confidence", type=float, default=default["min_confidence"])
+    run.add_argument("--min-views", type=_positive(int), default=default["min_views"],
+                     help="views that must agree (default: three, or two that are sure)")
+    run.add_argument("--max-reprojection-error", type=_positive(float), default=default["max_reprojection_error"],
+                     metavar="PIXELS")
+    run.add_argument("--max-depth-difference", type=_positive(float), default=default["max_depth_difference"],
+                     metavar="RELATIVE")
+    surface = commands.add_parser("surface", help="mesh and texture of a workspace whose cloud is finished",
+                                  epilog=EXIT_CODES, formatter_class=argparse.RawDescriptionHelpFormatter)
+    surface.set_defaults(photos=None)
+    surface.add_argument("workspace", type=Path)
+    surface.add_argument("--until", choices=SURFACE_STAGES, default=SURFACE_STAGES[-1], help="stop after this stage")
+    for command in (run, surface):
+        command.add_argument("--fill-holes", action=argparse.BooleanOptionalAction, default=default["fill_holes"],
+                             help="close holes in the mesh; what no photo measured is marked as filled")
+        command.add_argument("--max-faces", type=int, help="most triangles of the mesh (default: the quality's)")
+        command.add_argument("--region", type=float, nargs=6, metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"),
+                             help="build the mesh of this part of the site only, in its frame")
+        command.add_argument("--region-turn", type=float, nargs=4, metavar=("W", "X", "Y", "Z"),
+                             help="a quaternion that turns the site's frame to the axes that --region counts along")
+        command.add_argument("--texture-size", type=int, default=default["texture_size"], metavar="PIXELS",
+                             help="side of a page of the texture")
+        command.add_argument("--texture-format", choices=("png", "jpeg"), default=default["texture_format"])
+    check = commands.add_parser("check", help="look at the photos and say what each quality would cost")
+    check.add_argument("photos", type=Path)
+    check.add_argument("--workspace", type=Path, help="where the job would be kept, for its disk's free space")
+    check.add_argument("--thumbnails", type=Path, metavar="FOLDER",
+                       help="folder for small pictures of blurred and badly exposed photos")
+    self_check = commands.add_parser("self-check", help="reconstruct synthetic views, and say what this computer has")
+    for command in (run, check, self_check):
+        command.add_argument("--device", choices=("auto", "cpu", "cuda", "mps"), default=default["device"])
+    for command in (run, check):
+        command.add_argument("--memory", type=_positive(float), dest="memory_gib", metavar="GIB",
+                             help="memory budget of the depth maps")
+        command.add_argument("--speeds", type=Path, metavar="FILE",
+                             help="where this computer's speed is kept, for predictions")
+    for command in (run, surface, check, self_check):
+        command.add_argument("--json", action="store_true", help="print a JSON summary as the last line")
+    return parser
+
+
+def _positive(kind: type) -> Callable[[str], float]:
+    def parse(text: str) -> float:
+        value: float = kind(text)
+        if value <= 0:
+            raise argparse.ArgumentTypeError(f"{text} is not above zero")
+        return value
+
+    return parse
+
+
+def _private_stdout() -> TextIO:
+    """Standard output for this module alone: what anything else prints there, native libraries too, goes to stderr."""
+    sys.stdout.flush()
+    private = os.dup(sys.__stdout__.fileno() if sys.__stdout__ else 1)
+    os.dup2(2, 1)
+    return open(private, "w", encoding="utf-8", errors="backslashreplace")
+
+
+def _listen(cancel: threading.Event) -> None:
+    for line in sys.stdin:
+        if line.strip() == "cancel":
+            cancel.set()
+    cancel.set()
+    time.sleep(ORPHAN_GRACE)
+    os._exit(130)
+
+
+class _MessageSink:
+    """Messages as JSON lines; a lock, since stages may report from several threads."""
+
+    def __init__(self, out: TextIO) -> None:
+        self._out = out
+        self._lock = threading.Lock()
+
+    def __call__(self, message: Message) -> None:
+        with self._lock:
+            print(messages.encode(message), file=self._out, flush=True)
+
+
+class _Terminal:
+    """Messages for a person: a bar that redraws itself on a terminal, a line now and then in a pipe."""
+
+    def __init__(self, out: TextIO) -> None:
+        self._out = out
+        self._bar = out.isatty()
+        self._drawn = False
+        self._last = 0.0
+
+    def __call__(self, message: Message) -> None:
+        if isinstance(message, messages.Progress):
+            self._progress(message)
+            return
+        if isinstance(message, messages.StageStarted):
+            self._line(f"[{message.index + 1}/{message.count}] {message.stage}")
+            self._last = time.monotonic()
+        elif isinstance(message, messages.Warning):
+            self._line(f"warning: {message.text}")
+        elif isinstance(message, messages.Log):
+            self._line(message.text)
+        elif isinstance(message, messages.Failure):
+            self._line(f"error: {message.message}\n{message.remedy}")
+        else:
+            self._line(_in_words(message.summary))
+
+    def _progress(self, message: messages.Progress) -> None:
+        left = "" if message.eta is None else f", {_duration(message.eta)} left"
+        if self._bar:
+            filled = round(30 * message.overall)
+            self._out.write(f"\r{'█' * filled}{'░' * (30 - filled)} {message.overall:4.0%}  "
+                            f"{message.stage} {message.done}/{message.total}{left}\033[K")
+            self._out.flush()
+            self._drawn = True
+        elif time.monotonic() - self._last > PLAIN_LINE_EVERY:
+            self._last = time.monotonic()
+            self._line(f"{message.stage}: {message.done} of {message.total}{left}")
+
+    def _line(self, text: str) -> None:
+        if self._drawn:
+            self._out.write("\n")
+            self._drawn = False
+        print(text, file=self._out, flush=True)
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
+
+
+def _in_words(summary: dict[str, object]) -> str:
+    """The few figures that a person wants at the end."""
+    if "points" in summary:
+        clouds = summary["paths"]["clouds"] if isinstance(summary["paths"], dict) else []
+        where = f"\n{', '.join(clouds)}" if clouds else ""
+        return f"{summary['registered']} of {summary['photos']} photos, {summary['points']:,} points{where}"
+    return json.dumps(summary, indent=1, ensure_ascii=False)
+

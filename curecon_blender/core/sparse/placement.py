@@ -1,0 +1,353 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Placing a sparse model in the site frame: right-handed, Z up with the ground at 0, metres and y north where GPS says
+so."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+from ..base.errors import WorkspaceError
+from ..base.files import write_json
+from ..base.ground import lowest_wide_level
+from ..base.reading import build, read_json
+from ..base.records import Frame, GeoPosition, Gimbal, Photo
+
+FRAME_FILE = "frame.json"
+SHORTEST_BASELINE = 5.0  # metres; GPS positions closer together than this say nothing of scale
+WORST_AGREEMENT = 0.4  # median residual over the median distance from the GPS positions' centre; 1 is no agreement
+LINE = 0.05  # spread across a flight as a share of the spread along it; below it the flight counts as a straight line
+NEAR = 2.5  # times the points' median distance from the site's middle: land farther off has its own ground
+TYPICAL_DISTANCE = 10.0  # units from camera to points where the scale is unknown
+
+_WGS84_A = 6378137.0
+_WGS84_E2 = (1 / 298.257223563) * (2 - 1 / 298.257223563)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Placement:
+    """Where a model belongs: `site_from_model`, the frame's record, and each photo's distance from its GPS (metres)."""
+
+    site_from_model: pycolmap.Sim3d
+    frame: Frame
+    gps_residuals: dict[str, float] = field(default_factory=dict)
+
+
+def write_frame(folder: Path, frame: Frame) -> None:
+    """Write the frame's record beside a component's COLMAP model (atomically)."""
+    write_json(folder / FRAME_FILE, asdict(frame))
+
+
+def read_frame(folder: Path) -> Frame:
+    """The record that `write_frame` left in a component's folder. Raises WorkspaceError when missing or damaged."""
+    path = folder / FRAME_FILE
+    try:
+        frame: Frame = build(Frame, read_json(path))
+        return frame
+    except (OSError, ValueError) as error:
+        raise WorkspaceError(
+            f"{path} is missing or damaged ({error}).", remedy="Run Reconstruct again in this workspace.", path=path
+        ) from error
+
+
+# ---- geodesy
+
+def geodetic_to_enu(positions: np.ndarray, origin: GeoPosition) -> np.ndarray:
+    """(N,3) latitude, longitude (degrees), altitude (metres) on WGS84 -> (N,3) metres east, north, up of `origin`."""
+    reference = np.array([[origin.latitude, origin.longitude, origin.altitude]])
+    return (_ecef(positions) - _ecef(reference)) @ _enu_from_ecef(origin).T
+
+
+def enu_to_geodetic(enu: np.ndarray, origin: GeoPosition) -> np.ndarray:
+    """The inverse of `geodetic_to_enu`: (N,3) metres -> (N,3) degrees, degrees, metres."""
+    reference = np.array([[origin.latitude, origin.longitude, origin.altitude]])
+    x, y, z = (enu @ _enu_from_ecef(origin) + _ecef(reference)).T
+    across = np.hypot(x, y)
+    latitude = np.arctan2(z, across * (1 - _WGS84_E2))
+    for _ in range(6):  # converges by a factor of about 300 a step: nanometres after four
+        normal = _WGS84_A / np.sqrt(1 - _WGS84_E2 * np.sin(latitude) ** 2)
+        latitude = np.arctan2(z + _WGS84_E2 * normal * np.sin(latitude), across)
+    normal = _WGS84_A / np.sqrt(1 - _WGS84_E2 * np.sin(latitude) ** 2)
+    # Height along the normal, in the form that holds at the poles too.
+    altitude = across * np.cos(latitude) + z * np.sin(latitude) - _WGS84_A**2 / normal
+    return np.stack([np.degrees(latitude), np.degrees(np.arctan2(y, x)), altitude], axis=1)
+
+
+def _ecef(positions: np.ndarray) -> np.ndarray:
+    latitude, longitude = np.radians(positions[:, 0]), np.radians(positions[:, 1])
+    normal = _WGS84_A / np.sqrt(1 - _WGS84_E2 * np.sin(latitude) ** 2)
+    across = (normal + positions[:, 2]) * np.cos(latitude)
+    up = (normal * (1 - _WGS84_E2) + positions[:, 2]) * np.sin(latitude)
+    return np.stack([across * np.cos(longitude), across * np.sin(longitude), up], axis=1)
+
+
+def _enu_from_ecef(origin: GeoPosition) -> np.ndarray:
+    sin_lat, cos_lat = np.sin(np.radians(origin.latitude)), np.cos(np.radians(origin.latitude))
+    sin_lon, cos_lon = np.sin(np.radians(origin.longitude)), np.cos(np.radians(origin.longitude))
+    return np.array([
+        [-sin_lon, cos_lon, 0.0],
+        [-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat],
+        [cos_lat * cos_lon, cos_lat * sin_lon, sin_lat],
+    ])
+
+
+def gps_enu(photos: list[Photo]) -> tuple[np.ndarray, GeoPosition]:
+    """Camera positions (N,3) in metres east, north, up of their median; every photo must have GPS."""
+    positions = np.array([[p.gps.latitude, p.gps.longitude, p.gps.altitude] for p in photos if p.gps is not None])
+    origin = GeoPosition(**dict(zip(("latitude", "longitude", "altitude"), np.median(positions, 0).tolist(),
+                                    strict=True)))
+    return geodetic_to_enu(positions, origin), origin
+
+
+def gimbal_rotation(gimbal: Gimbal) -> np.ndarray:
+    """enu_from_cam (3,3) of a camera (x right, y down, z forward) held as the gimbal says."""
+    yaw, pitch, roll = np.radians([gimbal.yaw, gimbal.pitch, gimbal.roll])
+    forward = np.array([np.sin(yaw) * np.cos(pitch), np.cos(yaw) * np.cos(pitch), np.sin(pitch)])
+    right = np.array([np.cos(yaw), -np.sin(yaw), 0.0])
+    down = np.cross(forward, right)
+    return np.stack([
+        np.cos(roll) * right + np.sin(roll) * down, np.cos(roll) * down - np.sin(roll) * right, forward
+    ], axis=1)
+
+
+# ---- placement
+
+def place(model: pycolmap.Reconstruction, photos: Mapping[str, Photo]) -> Placement:
+    """Find the site frame of a model with points, whose images are named as `photos`: its origin lies in the site's
+    middle, on the ground.
+
+    By GPS where at least three photos have it, spread over more than a few metres and in agreement with the model;
+    else Z up by gravity (gimbal angles, or level cameras) and a scale said to be unknown.
+    """
+    cameras = _cameras(model, photos)
+    gravity = up_from_cameras(cameras)
+    located = [i for i, photo in enumerate(cameras.photos) if photo.gps is not None]
+    if len(located) < 3:
+        why = "No GPS in the photos" if not located else f"Only {len(located)} of these photos have GPS"
+        return _place_by_gravity(model, cameras, gravity, why)
+    gps, origin = gps_enu([cameras.photos[i] for i in located])
+    extent = float(np.linalg.norm(np.ptp(gps, axis=0)))
+    if extent < SHORTEST_BASELINE:
+        return _place_by_gravity(
+            model, cameras, gravity, f"All photos have GPS within {extent:.1f} m, too close together to tell the scale"
+        )
+    fit = align_to_gps(cameras.centres[located], gps, gravity)
+    if fit.median_residual > WORST_AGREEMENT * float(np.median(np.linalg.norm(gps - gps.mean(0), axis=1))):
+        return _place_by_gravity(
+            model, cameras, gravity,
+            f"The photos' GPS does not agree with their camera positions ({fit.median_residual:.1f} m off over "
+            f"{extent:.0f} m) and was not used",
+        )
+    # Move the origin from the cameras to the site's middle, then fit once more: ENU axes turn a little with the place.
+    middle = _middle_on_the_ground(_apply(fit.enu_from_model, _points(model)))
+    latitude, longitude, altitude = enu_to_geodetic(middle[None], origin)[0].tolist()
+    site = GeoPosition(latitude=latitude, longitude=longitude, altitude=altitude)
+    fit = align_to_gps(cameras.centres[located], geodetic_to_enu(enu_to_geodetic(gps, origin), site), gravity)
+    note = f"Metres, Z up and north from the GPS of {len(located)} photos, {fit.median_residual:.2f} m off (median)."
+    if fit.on_a_line:
+        note = note[:-1] + f"; the flight is a straight line, so the tilt about it comes from {gravity.source}."
+    frame = Frame(
+        scale="metres", up="gravity" if fit.on_a_line else "gps", north=True, origin=site,
+        gps_residual=fit.median_residual, note=note,
+    )
+    names = [cameras.photos[i].name for i in located]
+    return Placement(
+        site_from_model=fit.enu_from_model, frame=frame,
+        gps_residuals=dict(zip(names, fit.residuals.tolist(), strict=True)),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Cameras:
+    photos: list[Photo]
+    centres: np.ndarray  # (N,3) in the model's world
+    rotations: np.ndarray  # (N,3,3) cam_from_world
+
+
+def _cameras(model: pycolmap.Reconstruction, photos: Mapping[str, Photo]) -> _Cameras:
+    images = sorted((model.image(i) for i in model.reg_image_ids()), key=lambda image: image.name)
+    return _Cameras(
+        photos=[photos[image.name] for image in images],
+        centres=np.array([image.projection_center() for image in images]),
+        rotations=np.array([image.cam_from_world().rotation.matrix() for image in images]),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gravity:
+    """`up` (3,) unit, in the model's world; `sigma` how far it may be off, in degrees; `source` in words."""
+
+    up: np.ndarray
+    sigma: float
+    source: str
+
+
+def up_from_cameras(cameras: _Cameras) -> Gravity:
+    """Where up is, from gimbal angles if they agree with the model, else from how cameras are held.
+
+    Photographers and drones hold a camera level, so that up is the direction most nearly orthogonal to all image
+    x axes. Where those are all parallel (a row of photos of one façade, a nadir grid) they leave up open: it is then
+    against the viewing direction for a nadir grid, against the image y axes for a façade or a walk along a street.
+    """
+    with_gimbal = [i for i, photo in enumerate(cameras.photos) if photo.gimbal is not None]
+    if len(with_gimbal) >= 3:
+        ups = np.array([
+            cameras.rotations[i].T @ gimbal_rotation(gimbal)[2]
+            for i in with_gimbal if (gimbal := cameras.photos[i].gimbal) is not None
+        ])
+        up = _unit(np.median(ups, axis=0))
+        spread = float(np.degrees(np.median(np.arccos(np.clip(ups @ up, -1, 1)))))
+        if spread < 5.0:  # else the angles were not the camera's own, or the model is wrong
+            return Gravity(up=up, sigma=max(1.0, spread), source="the drone's gimbal angles")
+    right, down, forward = (cameras.rotations[:, row] for row in range(3))
+    values, vectors = np.linalg.eigh(right.T @ right / len(right))
+    if values[1] > 0.05:
+        up = vectors[:, 0]
+        # Drone and hand-held cameras look ahead or down, hardly ever up.
+        up = -up if float(np.sum((down + forward) @ up)) > 0 else up
+        off_level = float(np.degrees(np.sqrt(max(values[0], 0.0) / values[1])))
+        return Gravity(up=up, sigma=max(3.0, off_level), source="level cameras")
+    along_x, along_y, along_z = (
+        float(np.ptp(cameras.centres @ _unit(axis))) for axis in (vectors[:, 2], down[0], forward.mean(0))
+    )
+    ahead = along_z > max(along_x, along_y)  # a drone does not dive while it maps
+    if np.linalg.norm(forward.mean(0)) > 0.9 and not ahead and (
+        np.linalg.norm(down.mean(0)) < 0.5 or along_y > 0.5 * along_x
+    ):
+        return Gravity(up=_unit(-forward.mean(0)), sigma=10.0, source="cameras taken to look straight down")
+    return Gravity(up=_unit(-down.mean(0)), sigma=15.0, source="level cameras, all looking one way")
+
+
+def _place_by_gravity(
+    model: pycolmap.Reconstruction, cameras: _Cameras, gravity: Gravity, why: str
+) -> Placement:
+    scale = TYPICAL_DISTANCE / max(_median_distance(model), 1e-9)
+    rotation = _rotation_to_z(gravity.up)
+    middle = _middle_on_the_ground(scale * _points(model) @ rotation.T)
+    transform = pycolmap.Sim3d(scale, pycolmap.Rotation3d(rotation), -middle)
+    note = f"{why}: scale and north are unknown (set them with a scale bar); Z up comes from {gravity.source}."
+    return Placement(site_from_model=transform, frame=Frame(scale="unknown", up="gravity", note=note))
+
+
+@dataclass(frozen=True, kw_only=True)
+class GpsFit:
+    """`enu_from_model` and how well it fits: `residuals` (N,) in metres, their median, and the flight's shape."""
+
+    enu_from_model: pycolmap.Sim3d
+    residuals: np.ndarray
+    median_residual: float
+    on_a_line: bool
+
+
+def align_to_gps(centres: np.ndarray, gps: np.ndarray, gravity: Gravity) -> GpsFit:
+    """Robust similarity from camera centres (N,3) to GPS positions (N,3) in metres, N >= 3; half may be outliers.
+
+    Least median of squares over triplets, then a refit to the inliers in which gravity counts as one more
+    direction, weighted by how well it is known. Of a flight along a straight line, or no wider than the GPS is off,
+    only the places along it count: across it they are noise, and gravity alone fixes the tilt.
+    """
+    best, best_median = None, np.inf
+    for triplet in _triplets(len(centres)):
+        candidate = _similarity(centres[triplet], gps[triplet])
+        median = float(np.median(_distances(candidate, centres, gps)))
+        if median < best_median:
+            best, best_median = candidate, median
+    assert best is not None
+    inliers = np.ones(len(centres), bool)
+    for _ in range(10):
+        residuals = _distances(best, centres, gps)
+        sigma = max(1.4826 * float(np.median(residuals)), 0.3)
+        chosen = residuals < 3 * sigma
+        if chosen.sum() < 3:
+            break
+        best = _similarity(centres[chosen], gps[chosen], gravity, max(sigma, 1.0))
+        if (chosen == inliers).all():
+            break
+        inliers = chosen
+    residuals = _distances(best, centres, gps)
+    noise = float(np.median(residuals))
+    spread = np.linalg.svd(gps[inliers] - gps[inliers].mean(0), compute_uv=False)
+    on_a_line = bool(spread[1] < LINE * spread[0] or spread[1] / np.sqrt(inliers.sum()) < max(1.0, 2 * noise))
+    if on_a_line:
+        best = _similarity(_along(centres[inliers]), _along(gps[inliers]), gravity, max(1.4826 * noise, 1.0))
+        residuals = _distances(best, centres, gps)
+    return GpsFit(
+        enu_from_model=best, residuals=residuals, median_residual=float(np.median(residuals)), on_a_line=on_a_line
+    )
+
+
+def _along(positions: np.ndarray) -> np.ndarray:
+    """Positions (N,3) moved onto the line that fits them best."""
+    mean = positions.mean(0)
+    axis = np.linalg.svd(positions - mean, full_matrices=False)[2][0]
+    return np.asarray(mean + np.outer((positions - mean) @ axis, axis))
+
+
+def _triplets(count: int, most: int = 400) -> list[np.ndarray]:
+    if count <= 10:
+        return [np.array([i, j, k]) for i in range(count) for j in range(i) for k in range(j)]
+    rng = np.random.default_rng(0)
+    return [rng.choice(count, 3, replace=False) for _ in range(most)]
+
+
+def _similarity(
+    source: np.ndarray, target: np.ndarray, gravity: Gravity | None = None, sigma: float = 1.0
+) -> pycolmap.Sim3d:
+    """Least squares target_from_source; `sigma` is the target's noise in metres, set against gravity's."""
+    source_mean, target_mean = source.mean(0), target.mean(0)
+    m, g = source - source_mean, target - target_mean
+    size = max(float((m**2).sum()), 1e-18)
+    correlation = g.T @ m * np.sqrt(float((g**2).sum()) / size) / sigma**2
+    if gravity is not None:
+        correlation += np.outer([0.0, 0.0, 1.0], gravity.up) / np.radians(gravity.sigma) ** 2
+    u, _, vt = np.linalg.svd(correlation)
+    rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    scale = max(float((g * (m @ rotation.T)).sum()) / size, 1e-9)
+    return pycolmap.Sim3d(scale, pycolmap.Rotation3d(rotation), target_mean - scale * rotation @ source_mean)
+
+
+def _distances(transform: pycolmap.Sim3d, source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    return np.asarray(np.linalg.norm(_apply(transform, source) - target, axis=1))
+
+
+def _apply(transform: pycolmap.Sim3d, points: np.ndarray) -> np.ndarray:
+    matrix = transform.matrix()
+    return np.asarray(points @ matrix[:, :3].T + matrix[:, 3])
+
+
+def _points(model: pycolmap.Reconstruction) -> np.ndarray:
+    return np.array([point.xyz for point in model.points3D.values()])
+
+
+def _middle_on_the_ground(points: np.ndarray) -> np.ndarray:
+    """The middle (3,) of points (N,3) with Z up, at the height of the ground there."""
+    middle = np.median(points, axis=0)
+    distances = np.linalg.norm(points - middle, axis=1)
+    middle[2] = lowest_wide_level(points[distances <= NEAR * np.median(distances), 2])
+    return np.asarray(middle)
+
+
+def _median_distance(model: pycolmap.Reconstruction) -> float:
+    """Median distance of points from a camera that sees them, in model units."""
+    centres = {i: model.image(i).projection_center() for i in model.reg_image_ids()}
+    return float(np.median([
+        np.linalg.norm(point.xyz - centres[point.track.elements[0].image_id]) for point in model.points3D.values()
+    ]))
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    return np.asarray(vector / max(float(np.linalg.norm(vector)), 1e-12))
+
+
+def _rotation_to_z(direction: np.ndarray) -> np.ndarray:
+    """The smallest rotation (3,3) that turns a unit vector to Z."""
+    x, y, z = direction
+    if z < -1 + 1e-9:
+        return np.diag([1.0, -1.0, -1.0])
+    cross = np.array([[0, 0, -x], [0, 0, -y], [x, y, 0]])
+    return np.asarray(np.eye(3) + cross + cross @ cross / (1 + z))

@@ -1,0 +1,198 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What of a mesh a camera sees: scan conversion of triangles and a depth buffer of the mesh, in numpy alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from ..base.records import View
+from ..surface.mesh import triangle_areas
+
+_BLOCK = 1 << 20  # pixels worked on at once: some tens of bytes each, and a good size for the processor's cache
+_MARGIN = 1 / 800  # of the picture's longest side: a point this near to an occluder's edge counts as hidden
+_SLACK = 2.5  # pixels of depth along the surface that two visits to the same place may differ by
+_RELATIVE_SLACK = 5e-4  # of the depth: what a surface of single precision and rough triangles needs
+_STEEPEST = 5.0  # tangent of the angle from the surface's normal beyond which the slack grows no further
+_SMOOTHINGS = 3
+_LEAST_COSINE = 0.08  # a face seen at a flatter angle (85 degrees from its normal) gives no texture
+
+
+def scan_convert(
+    corners: np.ndarray, width: int, height: int, block: int = _BLOCK
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """The pixels that triangles cover, in blocks of about `block` pixels.
+
+    `corners` (M,3,2) in pixels, x right and y down, pixel centres at .5. Yields (face (n,), pixel (n,), barycentric
+    (n,3) float32): `pixel` is the flat index y * width + x. A pixel belongs to a triangle when its centre is inside,
+    edges half open, so that triangles side by side share none. Rows are found from the triangles and spans from the
+    rows, so that no work goes into pixels outside.
+    """
+    corners = np.asarray(corners, np.float64)
+    x, y = corners[..., 0], corners[..., 1]
+    with np.errstate(invalid="ignore"):
+        top = np.ceil(np.clip(y.min(axis=1), 0, height) - 0.5)
+        bottom = np.ceil(np.clip(y.max(axis=1), 0, height) - 0.5)
+        columns = np.clip(x.max(axis=1), 0, width) - np.clip(x.min(axis=1), 0, width)
+    rows = np.nan_to_num(bottom - top).astype(np.int64)
+    rows[~np.isfinite(columns)] = 0
+    found = np.flatnonzero(rows)
+    if not len(found):
+        return
+    work = np.cumsum(rows[found] * (1 + np.nan_to_num(columns[found]) / 2))
+    for part in np.split(found, np.searchsorted(work, np.arange(block, work[-1], block))):
+        if not len(part):
+            continue
+        x, y = corners[part, :, 0], corners[part, :, 1]
+        slopes = _slopes(corners[part])
+        face, row = _expand(np.arange(len(part)), top[part].astype(np.int64), rows[part])
+        centre = row + 0.5
+        left, right = np.full(len(face), np.inf), np.full(len(face), -np.inf)
+        for a, b in ((0, 1), (1, 2), (2, 0)):
+            # From the upper to the lower end, so that the two triangles at an edge compute the same crossing.
+            swap = y[face, a] > y[face, b]
+            start, end = np.where(swap, b, a), np.where(swap, a, b)
+            y0, y1, x0, x1 = y[face, start], y[face, end], x[face, start], x[face, end]
+            crosses = (y0 <= centre) & (centre < y1)
+            crossing = x0 + (centre - y0) * ((x1 - x0) / np.where(crosses, y1 - y0, 1))
+            left = np.where(crosses, np.minimum(left, crossing), left)
+            right = np.where(crosses, np.maximum(right, crossing), right)
+        first = np.ceil(np.clip(left, 0, width) - 0.5).astype(np.int64)
+        count = np.maximum(np.ceil(np.clip(right, 0, width) - 0.5).astype(np.int64) - first, 0)
+        span, column = _expand(np.arange(len(face)), first, count)
+        face, row = face[span], row[span]
+        dx, dy = column + 0.5 - x[face, 0], row + 0.5 - y[face, 0]
+        weights = np.empty((len(face), 3), np.float32)
+        for k in (1, 2):
+            weights[:, k] = slopes[face, k - 1, 0] * dx + slopes[face, k - 1, 1] * dy
+        weights[:, 0] = 1 - weights[:, 1] - weights[:, 2]
+        yield part[face], row * width + column, weights
+
+
+def _expand(item: np.ndarray, first: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Each item (n,) `count` times over, and the numbers first, first + 1, ... beside it."""
+    start = np.cumsum(count) - count
+    repeated = np.repeat(np.arange(len(item)), count)
+    return item[repeated], np.arange(len(repeated)) - start[repeated] + first[repeated]
+
+
+def _slopes(corners: np.ndarray) -> np.ndarray:
+    """How the weights of the second and third corner change over x and y, (n,2,2), in triangles (n,3,2)."""
+    ab, ac = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    area = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
+    area[area == 0] = np.inf
+    slopes: np.ndarray = np.stack([ac[:, 1], -ac[:, 0], -ab[:, 1], ab[:, 0]], axis=1) / area[:, None]
+    return slopes.reshape(-1, 2, 2)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """The faces that a camera sees whole. `face` (n,) int64; `centre` (n,2) float32, the centroid's pixel;
+    `cosine` (n,) float32 between the face's normal and the ray; `depth` (n,) float32 z-depth in world units;
+    `rim` (n,) float32, pixels of the depth buffer to the nearest place where the camera sees no mesh, or to the
+    picture's edge."""
+
+    face: np.ndarray
+    centre: np.ndarray
+    cosine: np.ndarray
+    depth: np.ndarray
+    rim: np.ndarray
+
+
+def in_camera(points: np.ndarray, view: View) -> np.ndarray:
+    """World points (N,3) in the camera's frame, (N,3) float32; differences are taken in double precision."""
+    seen: np.ndarray = ((points - view.centre) @ view.cam_from_world[:, :3].T).astype(np.float32)
+    return seen
+
+
+def project(points: np.ndarray, K: np.ndarray) -> np.ndarray:
+    """Pixels (...,2) of points (...,3) in the camera's frame; NaN behind the camera."""
+    z = points[..., 2:]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ray = np.where(z > 1e-6, points / z, np.nan)
+    return np.asarray(ray @ K[:2].T.astype(ray.dtype))
+
+
+def inverse_depth_buffer(corners: np.ndarray, inverse_depth: np.ndarray, width: int, height: int) -> np.ndarray:
+    """The nearest surface at each pixel as inverse depth (H,W) float32, 0 where there is none.
+
+    `corners` (M,3,2) pixels and `inverse_depth` (M,3) at them; a face with a corner behind the camera is left out.
+    """
+    buffer = np.zeros(height * width, np.float32)
+    for face, pixel, weights in scan_convert(corners, width, height):
+        np.maximum.at(buffer, pixel, np.einsum("nk,nk->n", weights, inverse_depth[face]))
+    return buffer.reshape(height, width)
+
+
+def visible_faces(vertices: np.ndarray, faces: np.ndarray, view: View) -> Seen:
+    """The faces (M,3) that `view` sees from their front, inside its picture, with nothing of the mesh before them.
+
+    Tested at the centroid, at points near the corners and at every pixel that a face covers, against a depth buffer
+    of the mesh whose occluders are widened a little: a photo and the mesh never fit to the last pixel, and what is
+    hidden must not take its occluder's colour.
+    """
+    camera = in_camera(vertices, view)
+    pixels = project(camera, view.K)
+    corners = pixels[faces]
+    a, b, c = (camera[faces[:, k]] for k in range(3))
+    centroid = (a + b + c) / 3
+    normal = np.cross(b - a, c - a)
+    lengths = np.linalg.norm(normal, axis=1) * np.linalg.norm(centroid, axis=1)
+    cosine = -np.einsum("nk,nk->n", normal, centroid) / np.maximum(lengths, np.finfo(np.float32).tiny)
+    with np.errstate(divide="ignore"):
+        inverse = (1 / camera[:, 2])[faces]
+    del normal, lengths, b, c, a
+    buffer = inverse_depth_buffer(corners, inverse, view.width, view.height)
+    with np.errstate(invalid="ignore"):
+        inside = ((corners > 1) & (corners < (view.width - 1, view.height - 1))).all(axis=(1, 2))
+    candidates = np.flatnonzero(inside & (cosine > _LEAST_COSINE))
+    margin = max(1, round(_MARGIN * max(view.width, view.height)))
+    nearest = np.asarray(cv2.dilate(buffer, np.ones((2 * margin + 1, 2 * margin + 1), np.uint8)))
+
+    corners, inverse, cosine = corners[candidates], inverse[candidates], cosine[candidates]
+    tangent = np.minimum(np.sqrt(np.maximum(1 / cosine**2 - 1, 0)), _STEEPEST)
+    # In relative depth: a step of one pixel along the surface changes the depth by tan / f of itself.
+    pixel_angle = np.float32(1 / view.K[0, 0])
+    slack = ((1 + margin) * _SLACK * tangent + 0.5) * pixel_angle + np.float32(_RELATIVE_SLACK)
+
+    def hidden(face: np.ndarray, pixel: np.ndarray, at: np.ndarray) -> np.ndarray:
+        result: np.ndarray = nearest.ravel()[pixel] > at * (1 + slack[face])
+        return result
+
+    shown = np.ones(len(candidates), bool)
+    every = np.arange(len(candidates))
+    for weights in (np.full(3, 1 / 3), *(np.eye(3) * 0.85 + 0.05)):
+        # Inverse depth is linear over the picture, so the weights hold for it and for the pixels alike.
+        x, y = (np.einsum("nkc,k->cn", corners, weights)).astype(np.int64)
+        shown &= ~hidden(every, y * view.width + x, inverse @ weights.astype(np.float32))
+    large = np.flatnonzero(shown & (triangle_areas(corners) > 4))
+    for face, pixel, barycentric in scan_convert(corners[large], view.width, view.height):
+        which = large[face]
+        at = np.einsum("nk,nk->n", barycentric, inverse[which])
+        shown[which[hidden(which, pixel, at)]] = False
+
+    face, kept = candidates[shown], corners[shown]
+    centre = kept.mean(axis=1).astype(np.float32)
+    surface = np.pad((buffer > 0).astype(np.uint8), 1)
+    rim = np.asarray(cv2.distanceTransform(surface, cv2.DIST_L2, 3))[1:-1, 1:-1]
+    at = centre.astype(np.int64)
+    return Seen(face, centre, cosine[shown].astype(np.float32), centroid[face, 2], rim[at[:, 1], at[:, 0]])
+
+
+def smooth_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Unit normals (M,3) float32 of the faces, averaged over their surroundings: choices by them change gradually."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    for _ in range(_SMOOTHINGS):
+        at_vertex = np.stack([
+            sum(np.bincount(faces[:, corner], normals[:, axis], len(vertices)) for corner in range(3))
+            for axis in range(3)
+        ], axis=1)
+        at_vertex /= np.maximum(np.linalg.norm(at_vertex, axis=1, keepdims=True), 1e-30)
+        normals = at_vertex[faces].sum(axis=1)
+    unit: np.ndarray = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    return unit.astype(np.float32)
