@@ -131,7 +131,7 @@ def test_the_zip_holds_the_extension_and_nothing_else(archive: Path) -> None:
     tops = {name.partition("/")[0] for name in names}
     assert {"blender_manifest.toml", "__init__.py", "curecon_blender"} <= tops
     assert tops <= {"blender_manifest.toml", "__init__.py", "curecon_blender", "LICENSE"}, tops
-    assert "curecon_blender/core/pipeline.py" in names and "curecon_blender/scene/points.py" in names
+    assert "curecon_blender/core/run/pipeline.py" in names and "curecon_blender/scene/points.py" in names
     assert not [name for name in names if "__pycache__" in name or name.endswith(".pyc")]
 
 

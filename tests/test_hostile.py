@@ -26,25 +26,22 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from PIL import Image
 
-from curecon_blender.core import (
-    alignment,
-    capture,
-    cloud_edits,
-    colmap_model,
-    components,
-    georeference,
-    images,
-    messages,
-    pipeline,
-    weights,
-)
+from curecon_blender.core.base import images, messages
 from curecon_blender.core.base.errors import CuReconError, PhotoError, SparseError, WeightsError, WorkspaceError
 from curecon_blender.core.base.messages import Reporter
+from curecon_blender.core.cloud import edits as cloud_edits
 from curecon_blender.core.cloud.ply import point_count, read_cloud
+from curecon_blender.core.network import weights
+from curecon_blender.core.photos import capture
 from curecon_blender.core.photos.check import check_photos
 from curecon_blender.core.photos.metadata import read_metadata
+from curecon_blender.core.run import pipeline
 from curecon_blender.core.run.workspace import Workspace
+from curecon_blender.core.site import adjustment as alignment
+from curecon_blender.core.sparse import models as colmap_model
+from curecon_blender.core.sparse import placement as georeference
 from curecon_blender.core.surface.mesh import read_mesh
+from curecon_blender.core.views import record as components
 from tests.fuzz import runner, targets
 
 OUTSIDE = ("../x", "/etc/x", "C:\\x", "C:x", "\\\\host\\share\\x", "a/../../x", "..", "", "nul", "a\nb", "a\0b")
