@@ -16,8 +16,8 @@ from .targets import TARGETS
 
 SLICE_SECONDS = 60.0  # for one target before the next has its turn
 READERS = [f"curecon_blender.core.{name}" for name in
-           ("site.adjustment", "sparse.models", "views.record", "run.cost", "depth.estimate", "cloud.fuse", "photos.check",
-            "run.pipeline", "network.weights")]
+           ("site.adjustment", "sparse.models", "views.record", "run.cost", "depth.estimate", "cloud.fuse",
+            "photos.check", "run.pipeline", "network.weights")]
 STALLED_SECONDS = 150.0  # without a new case: native code that the alarm cannot reach
 
 

@@ -1,11 +1,17 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The one options record that travels from the panel or the command line to the stages."""
+"""The one options record that travels from the panel or the command line to the stages.
+
+Each option is declared once: what the command line calls it, what it means, its unit and its range stand beside its
+default. The parser (run/command_line.py) reads them, and `arguments` writes a record as the command line that gives it.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import Field, dataclass, field, fields
 from pathlib import Path
+from typing import Any
 
 CLOUD_STAGES = ("photos", "sparse", "views", "depth", "fusion")
 SURFACE_STAGES = ("mesh", "texture")  # they need a finished cloud and nothing else
@@ -33,35 +39,90 @@ PRESETS = {
 }
 
 
+RUN, SURFACE, CHECK, SELF_CHECK = "reconstruct", "surface", "check", "self-check"  # the worker's commands
+
+
+@dataclass(frozen=True, kw_only=True)
+class Argument:
+    """How an option is given on the command line, and what a person is told of it.
+
+    A number is at least `least` (above it where `above`), and at most `most`; `parts` names the numbers of a tuple.
+    """
+
+    flag: str
+    help: str
+    commands: tuple[str, ...] = (RUN,)
+    unit: str = ""
+    choices: tuple[str, ...] = ()
+    least: float | None = None
+    above: bool = False
+    most: float | None = None
+    parts: tuple[str, ...] = ()
+
+
+def _as(flag: str, help: str, **facts: Any) -> dict[str, Argument]:
+    return {"argument": Argument(flag=flag, help=help, **facts)}
+
+
+_SURFACES = (RUN, SURFACE)
+_ABOVE_ZERO: dict[str, Any] = {"least": 0, "above": True}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """Everything a job depends on. Frozen: a stage's done-marker is keyed by the fields it used."""
+    """Everything a job depends on. Frozen and hashable: a stage's done-marker is keyed by the fields it used."""
 
     workspace: Path
     photos: Path | None  # None: only the surface of a workspace whose cloud is finished
-    quality: str = "standard"
-    model: Path | None = None  # a COLMAP model used in place of the sparse stage
-    max_image_size: int | None = None  # pixels; overrides the preset's depth-map size
-    views: int | None = None  # source views per reference; overrides the preset's
     until: str = "fusion"
-    speeds: Path | None = None  # file where this computer's speed is kept, for predictions of later jobs
-    memory_gib: float | None = None  # budget for the depth stage; None: 60 % of what is free
-    half_memory: bool = False  # take half of that budget: memory ran out before
-    device: str = "auto"  # auto, cpu, cuda, mps
-    precision: str = "auto"  # auto, fp32, bf16
-    scheduler: str = ""  # address of a Dask scheduler whose workers make the depth maps; "": this process does
-    mapper: str = "auto"  # auto, incremental, global
-    weights: Path | None = None  # None: the shipped weights
-    min_confidence: float = 0.3  # tau
-    min_views: int | None = None  # N_c: confirming views; None: three, or two that are sure (fusion.py)
-    max_reprojection_error: float = 1.0  # pixels
-    max_depth_difference: float = 0.01  # relative
-    fill_holes: bool = True  # close holes in the mesh, marked as filled; False leaves them open
-    max_faces: int | None = None  # of the mesh; overrides the preset's
-    region: tuple[float, ...] | None = None  # the mesh's bounds in the site frame: x0, y0, z0, x1, y1, z1
-    region_turn: tuple[float, ...] | None = None  # quaternion w, x, y, z: turns the site frame to the region's axes
-    texture_size: int = 4096  # pixels, side of a page
-    texture_format: str = "png"  # png, jpeg
+    quality: str = field(default="standard", metadata=_as(
+        "--quality", "how fine the result is, and how long it takes", choices=QUALITIES))
+    model: Path | None = field(default=None, metadata=_as(
+        "--model", "a COLMAP model (text or binary) in place of the sparse stage", unit="folder"))
+    max_image_size: int | None = field(default=None, metadata=_as(
+        "--max-image-size", "longest side of a depth map, in place of the quality's", unit="pixels", least=1))
+    views: int | None = field(default=None, metadata=_as(
+        "--views", "source views for each photo, in place of the quality's", unit="views", least=1))
+    speeds: Path | None = field(default=None, metadata=_as(
+        "--speeds", "where this computer's speed is kept, for predictions", unit="file", commands=(RUN, CHECK)))
+    memory_gib: float | None = field(default=None, metadata=_as(
+        "--memory", "memory for depth maps and fusion (default: 60 % of what is free)", unit="GiB",
+        commands=(RUN, CHECK), **_ABOVE_ZERO))
+    half_memory: bool = field(default=False, metadata=_as(
+        "--half-memory", "half of that memory, where a run before ran out of it"))
+    device: str = field(default="auto", metadata=_as(
+        "--device", "where the network runs", commands=(RUN, CHECK, SELF_CHECK),
+        choices=("auto", "cpu", "cuda", "mps")))
+    precision: str = field(default="auto", metadata=_as(
+        "--precision", "of the network", choices=("auto", "fp32", "bf16")))
+    scheduler: str = field(default="", metadata=_as(
+        "--scheduler", "make the depth maps on the workers of the Dask cluster at tcp://HOST:PORT", unit="address"))
+    mapper: str = field(default="auto", metadata=_as(
+        "--mapper", "how the cameras are found", choices=("auto", "incremental", "global")))
+    weights: Path | None = field(default=None, metadata=_as(
+        "--weights", "other weights (.safetensors with its .json beside it)", unit="file"))
+    min_confidence: float = field(default=0.3, metadata=_as(
+        "--min-confidence", "least confidence of a depth that becomes a point", least=0, most=1))
+    min_views: int | None = field(default=None, metadata=_as(
+        "--min-views", "views that must agree (default: three, or two that are sure)", unit="views", least=1))
+    max_reprojection_error: float = field(default=1.0, metadata=_as(
+        "--max-reprojection-error", "up to which two views agree on a point", unit="pixels", **_ABOVE_ZERO))
+    max_depth_difference: float = field(default=0.01, metadata=_as(
+        "--max-depth-difference", "up to which two views agree on a point", unit="relative", **_ABOVE_ZERO))
+    fill_holes: bool = field(default=True, metadata=_as(
+        "--fill-holes", "close holes in the mesh; what no photo measured is marked as filled", commands=_SURFACES))
+    max_faces: int | None = field(default=None, metadata=_as(
+        "--max-faces", "most triangles of the mesh, in place of the quality's", unit="faces", commands=_SURFACES))
+    region: tuple[float, ...] | None = field(default=None, metadata=_as(
+        "--region", "build the mesh of this part of the site only, in its frame", commands=_SURFACES,
+        parts=("X0", "Y0", "Z0", "X1", "Y1", "Z1")))
+    region_turn: tuple[float, ...] | None = field(default=None, metadata=_as(
+        "--region-turn", "a quaternion that turns the site's frame to the axes that --region counts along",
+        commands=_SURFACES, parts=("W", "X", "Y", "Z")))
+    texture_size: int = field(default=4096, metadata=_as(
+        "--texture-size", "side of a page of the texture", unit="pixels", commands=_SURFACES))
+    texture_format: str = field(default="png", metadata=_as(
+        "--texture-format", "of the texture's pages", commands=_SURFACES, choices=("png", "jpeg")))
 
     @property
     def preset(self) -> Preset:
@@ -81,3 +142,32 @@ class Options:
     def mesh_faces(self) -> int:
         """Most faces of the mesh."""
         return self.preset.mesh_faces if self.max_faces is None else self.max_faces
+
+
+def declared(command: str) -> Iterator[tuple[Field[Any], Argument]]:
+    """The options that a command of the worker takes, each with what was declared of it."""
+    for option in fields(Options):
+        argument = option.metadata.get("argument")
+        if argument is not None and command in argument.commands:
+            yield option, argument
+
+
+def arguments(options: Options, command: str) -> list[str]:
+    """The worker's command line that gives a record: what differs from the defaults, of what the command takes."""
+    if command == SURFACE:
+        given = [command, str(options.workspace)]
+    else:
+        given = [command, str(options.photos), "--workspace", str(options.workspace)]
+    if command in _SURFACES:
+        given += ["--until", options.until]
+    for option, argument in declared(command):
+        value = getattr(options, option.name)
+        if value == option.default:
+            continue
+        if isinstance(value, bool):
+            given.append(argument.flag if value else f"--no-{argument.flag[2:]}")
+        elif isinstance(value, tuple):
+            given += [argument.flag, *(f"{number:.9f}" for number in value)]
+        else:
+            given += [argument.flag, str(value)]
+    return given

@@ -24,17 +24,8 @@ from typing import TextIO
 from ..base import messages
 from ..base.errors import CuReconError, OutOfMemory, SetupError, ran_out_of_memory
 from ..base.messages import Message, Reporter
-from ..base.options import QUALITIES, STAGES, SURFACE_STAGES, Options
+from .command_line import options_of, parser
 
-EXIT_CODES = """exit codes:
-  0  done                     5  workspace: read-only, full, in use, newer
-  1  a fault in CU-Recon      6  weights missing or corrupted
-  2  wrong arguments          7  device not there, or memory budget too small
-  3  photos unusable          8  no point that enough views agree on
-  4  cameras not found        9  a library is missing from this Python
- 10  no mesh or no texture can be made     11  out of memory
-130  cancelled
-"""
 LIBRARIES = ("numpy", "PIL", "psutil", "cv2", "safetensors", "scipy", "torch", "pycolmap", "xatlas", "numba")
 REQUIREMENTS = Path(__file__).resolve().parents[2] / "requirements.txt"
 PLAIN_LINE_EVERY = 10.0  # seconds between progress lines in a pipe
@@ -43,7 +34,7 @@ ORPHAN_GRACE = 3.0  # seconds a worker may take to stop by itself once its paren
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one command; returns its exit code."""
-    options = _parser().parse_args(arguments)
+    options = parser().parse_args(arguments)
     out = _private_stdout()
     cancel = threading.Event()
     if options.messages:
@@ -91,13 +82,8 @@ def _run(options: argparse.Namespace, reporter: Reporter) -> dict[str, object]:
 
         return self_check(options.device, reporter)
     if options.command == "check":
-        return pipeline.check(_options(options), options.thumbnails, reporter)
-    return pipeline.reconstruct(_options(options), reporter)
-
-
-def _options(options: argparse.Namespace) -> Options:
-    fields = {name: getattr(options, name) for name in Options.__dataclass_fields__ if hasattr(options, name)}
-    return Options(**{**fields, "workspace": options.workspace or options.photos})
+        return pipeline.check(options_of(options), options.thumbnails, reporter)
+    return pipeline.reconstruct(options_of(options), reporter)
 
 
 def _require_libraries() -> None:
@@ -118,81 +104,6 @@ def _require_libraries() -> None:
                 f"The Python at {sys.executable} cannot load {name}: {error}",
                 remedy=f"{missing}, or choose another Worker Python in the add-on's preferences.", path=sys.executable,
             ) from error
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m curecon_blender.core", description="From drone photos to a coloured, measured point cloud.",
-        epilog=EXIT_CODES, formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--messages", action="store_true", help="speak the add-on's protocol")
-    commands = parser.add_subparsers(dest="command", required=True)
-    run = commands.add_parser("reconstruct", help="photos to cloud; run it again to go on or to do nothing",
-                              epilog=EXIT_CODES, formatter_class=argparse.RawDescriptionHelpFormatter)
-    default = {name: field.default for name, field in Options.__dataclass_fields__.items()}
-    run.add_argument("photos", type=Path, help="folder of photos (JPEG, PNG, TIFF)")
-    run.add_argument("--workspace", type=Path, required=True, help="folder for everything that is made")
-    run.add_argument("--quality", choices=QUALITIES, default=default["quality"])
-    run.add_argument("--model", type=Path, help="a COLMAP model (text or binary) in place of the sparse stage")
-    run.add_argument("--max-image-size", type=_positive(int), help="longest side of a depth map in pixels")
-    run.add_argument("--views", type=_positive(int), help="source views per photo")
-    run.add_argument("--until", choices=STAGES, default=default["until"], help="stop after this stage")
-    run.add_argument("--half-memory", action="store_true",
-                     help="half the memory budget for the depth maps, where a run before ran out of memory")
-    run.add_argument("--precision", choices=("auto", "fp32", "bf16"), default=default["precision"])
-    run.add_argument("--scheduler", default=default["scheduler"], metavar="ADDRESS",
-                     help="make the depth maps on the workers of the Dask cluster at tcp://HOST:PORT")
-    run.add_argument("--mapper", choices=("auto", "incremental", "global"), default=default["mapper"])
-    run.add_argument("--weights", type=Path, help="other weights (.safetensors with its .json beside it)")
-    run.add_argument("--min-confidence", type=float, default=default["min_confidence"])
-    run.add_argument("--min-views", type=_positive(int), default=default["min_views"],
-                     help="views that must agree (default: three, or two that are sure)")
-    run.add_argument("--max-reprojection-error", type=_positive(float), default=default["max_reprojection_error"],
-                     metavar="PIXELS")
-    run.add_argument("--max-depth-difference", type=_positive(float), default=default["max_depth_difference"],
-                     metavar="RELATIVE")
-    surface = commands.add_parser("surface", help="mesh and texture of a workspace whose cloud is finished",
-                                  epilog=EXIT_CODES, formatter_class=argparse.RawDescriptionHelpFormatter)
-    surface.set_defaults(photos=None)
-    surface.add_argument("workspace", type=Path)
-    surface.add_argument("--until", choices=SURFACE_STAGES, default=SURFACE_STAGES[-1], help="stop after this stage")
-    for command in (run, surface):
-        command.add_argument("--fill-holes", action=argparse.BooleanOptionalAction, default=default["fill_holes"],
-                             help="close holes in the mesh; what no photo measured is marked as filled")
-        command.add_argument("--max-faces", type=int, help="most triangles of the mesh (default: the quality's)")
-        command.add_argument("--region", type=float, nargs=6, metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"),
-                             help="build the mesh of this part of the site only, in its frame")
-        command.add_argument("--region-turn", type=float, nargs=4, metavar=("W", "X", "Y", "Z"),
-                             help="a quaternion that turns the site's frame to the axes that --region counts along")
-        command.add_argument("--texture-size", type=int, default=default["texture_size"], metavar="PIXELS",
-                             help="side of a page of the texture")
-        command.add_argument("--texture-format", choices=("png", "jpeg"), default=default["texture_format"])
-    check = commands.add_parser("check", help="look at the photos and say what each quality would cost")
-    check.add_argument("photos", type=Path)
-    check.add_argument("--workspace", type=Path, help="where the job would be kept, for its disk's free space")
-    check.add_argument("--thumbnails", type=Path, metavar="FOLDER",
-                       help="folder for small pictures of blurred and badly exposed photos")
-    self_check = commands.add_parser("self-check", help="reconstruct synthetic views, and say what this computer has")
-    for command in (run, check, self_check):
-        command.add_argument("--device", choices=("auto", "cpu", "cuda", "mps"), default=default["device"])
-    for command in (run, check):
-        command.add_argument("--memory", type=_positive(float), dest="memory_gib", metavar="GIB",
-                             help="memory budget of the depth maps")
-        command.add_argument("--speeds", type=Path, metavar="FILE",
-                             help="where this computer's speed is kept, for predictions")
-    for command in (run, surface, check, self_check):
-        command.add_argument("--json", action="store_true", help="print a JSON summary as the last line")
-    return parser
-
-
-def _positive(kind: type) -> Callable[[str], float]:
-    def parse(text: str) -> float:
-        value: float = kind(text)
-        if value <= 0:
-            raise argparse.ArgumentTypeError(f"{text} is not above zero")
-        return value
-
-    return parse
 
 
 def _private_stdout() -> TextIO:

@@ -1,0 +1,95 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The worker's commands and their arguments, as the options declare them."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from dataclasses import Field, fields
+from pathlib import Path
+from typing import Any, get_args, get_type_hints
+
+from ..base.options import CHECK, RUN, SELF_CHECK, STAGES, SURFACE, SURFACE_STAGES, Argument, Options, declared
+
+EXIT_CODES = """exit codes:
+  0  done                     5  workspace: read-only, full, in use, newer
+  1  a fault in CU-Recon      6  weights missing or corrupted
+  2  wrong arguments          7  device not there, or memory budget too small
+  3  photos unusable          8  no point that enough views agree on
+  4  cameras not found        9  a library is missing from this Python
+ 10  no mesh or no texture can be made     11  out of memory
+130  cancelled
+"""
+
+
+def parser() -> argparse.ArgumentParser:
+    """The parser of the whole command line."""
+    main = argparse.ArgumentParser(
+        prog="python -m curecon_blender.core", description="From drone photos to a coloured, measured point cloud.",
+        epilog=EXIT_CODES, formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    main.add_argument("--messages", action="store_true", help="speak the add-on's protocol")
+    commands = main.add_subparsers(dest="command", required=True)
+
+    def command(name: str, help: str) -> argparse.ArgumentParser:
+        added = commands.add_parser(name, help=help, epilog=EXIT_CODES,
+                                    formatter_class=argparse.RawDescriptionHelpFormatter)
+        for option, argument in declared(name):
+            _add(added, option, argument)
+        added.add_argument("--json", action="store_true", help="print a JSON summary as the last line")
+        return added
+
+    run = command(RUN, "photos to cloud; run it again to go on or to do nothing")
+    run.add_argument("photos", type=Path, help="folder of photos (JPEG, PNG, TIFF)")
+    run.add_argument("--workspace", type=Path, required=True, help="folder for everything that is made")
+    run.add_argument("--until", choices=STAGES, default=Options.until, help="stop after this stage")
+    surface = command(SURFACE, "mesh and texture of a workspace whose cloud is finished")
+    surface.set_defaults(photos=None)
+    surface.add_argument("workspace", type=Path)
+    surface.add_argument("--until", choices=SURFACE_STAGES, default=SURFACE_STAGES[-1], help="stop after this stage")
+    check = command(CHECK, "look at the photos and say what each quality would cost")
+    check.add_argument("photos", type=Path)
+    check.add_argument("--workspace", type=Path, help="where the job would be kept, for its disk's free space")
+    check.add_argument("--thumbnails", type=Path, metavar="FOLDER",
+                       help="folder for small pictures of blurred and badly exposed photos")
+    command(SELF_CHECK, "reconstruct synthetic views, and say what this computer has")
+    return main
+
+
+def options_of(given: argparse.Namespace) -> Options:
+    """The record that parsed arguments give."""
+    values = {option.name: getattr(given, option.name) for option in fields(Options) if hasattr(given, option.name)}
+    values = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
+    return Options(**{**values, "workspace": given.workspace or given.photos})
+
+
+def _add(parser: argparse.ArgumentParser, option: Field[Any], argument: Argument) -> None:
+    hint = get_type_hints(Options)[option.name]
+    kind = next((part for part in get_args(hint) if part is not type(None)), hint)
+    facts: dict[str, Any] = {"dest": option.name, "default": option.default, "help": argument.help.replace("%", "%%")}
+    if kind is bool:
+        facts["action"] = argparse.BooleanOptionalAction if option.default else "store_true"
+    elif argument.choices:
+        facts["choices"] = argument.choices
+    elif argument.parts:
+        facts |= {"type": float, "nargs": len(argument.parts), "metavar": argument.parts}
+    else:
+        facts |= {"type": _within(kind, argument), "metavar": argument.unit.upper() or None}
+    parser.add_argument(argument.flag, **facts)
+
+
+def _within(kind: type, argument: Argument) -> Callable[[str], Any]:
+    """Reads a value, and refuses a number that is not in the range declared."""
+
+    def read(text: str) -> Any:
+        value = kind(text)
+        if argument.least is not None and not (value > argument.least if argument.above else value >= argument.least):
+            bound = f"above {argument.least:g}" if argument.above else f"at least {argument.least:g}"
+            raise argparse.ArgumentTypeError(f"{text} is not {bound}")
+        if argument.most is not None and not value <= argument.most:
+            raise argparse.ArgumentTypeError(f"{text} is more than {argument.most:g}")
+        return value
+
+    read.__name__ = kind.__name__  # argparse names it when a text cannot be read
+    return read
