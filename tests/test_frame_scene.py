@@ -19,3 +19,9 @@ def test_what_is_shown_of_a_cloud_and_what_is_taken_out(blender: Path, tmp_path:
     work = tmp_path / "work"
     work.mkdir()
     run_script(blender, "check_cloud.py", work, resources=tmp_path / "user")
+
+
+def test_a_sheet_states_the_scale_of_what_is_presented(blender: Path, tmp_path: Path) -> None:  # noqa: F811
+    work = tmp_path / "work"
+    work.mkdir()
+    run_script(blender, "check_presented.py", work, resources=tmp_path / "user")

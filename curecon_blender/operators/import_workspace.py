@@ -59,8 +59,6 @@ def _show(
     result.workspace, result.points, result.photos = str(folder), imported.points, photos
     result.cameras, result.parts = len(imported.cameras), imported.parts
     result.faces, result.textured, result.filled = imported.faces, imported.textured, 100 * imported.filled
-    result.scale, result.note = imported.frame.scale, imported.frame.note
-    result.scale_source = imported.scale_source
     properties.display_fraction = min(100.0, 100.0 * EASY_POINTS / max(imported.points, 1))
     cameras.show(scene, properties.show_cameras)
     properties.show_cloud, properties.show_surface = not imported.surfaces, True

@@ -13,7 +13,7 @@ from bpy.props import EnumProperty
 
 from ..core.base.errors import CuReconError, WorkspaceError
 from ..core.photos import capture
-from ..scene import cameras, flight, stage
+from ..scene import cameras, flight, site, stage
 from . import places, running
 
 KINDS = (
@@ -45,7 +45,7 @@ Made again, it takes the place of the earlier one"""
     def execute(self, context: bpy.types.Context) -> set[str]:
         scene = context.scene
         try:
-            times = capture.read_times(places.absolute(scene.curecon.result.workspace))
+            times = capture.read_times(places.absolute(site.workspace(scene)))
         except WorkspaceError as error:
             times = {}
             if self.kind == "FLIGHT":

@@ -13,7 +13,7 @@ from bpy.props import EnumProperty
 
 from ..core.base.errors import WorkspaceError
 from ..core.photos import capture
-from ..scene import cameras, flight, stage
+from ..scene import cameras, flight, site, stage
 from . import places
 
 WHICH = (
@@ -58,7 +58,7 @@ class CURECON_OT_look_through(bpy.types.Operator):
     def _beside(self, scene: bpy.types.Scene) -> bpy.types.Object:
         """The camera after or before the scene's own in order of capture, around both ends."""
         try:
-            times = capture.read_times(places.absolute(scene.curecon.result.workspace))
+            times = capture.read_times(places.absolute(site.workspace(scene)))
         except WorkspaceError as error:
             times = {}
             said = rpt_("{} The photos are gone through in order of their names.")

@@ -63,14 +63,14 @@ class CURECON_OT_remove_sun(bpy.types.Operator):
 def _set_sun(scene: bpy.types.Scene) -> tuple[str, str]:
     """Returns the report's level and its words. Raises CuReconError."""
     properties = scene.curecon
-    present, place = properties.present, site.place(scene)
-    times = capture.read_times(places.absolute(properties.result.workspace))
+    present, known = properties.present, site.known(scene)
+    times = capture.read_times(places.absolute(site.workspace(scene)))
     if not times:
         raise WorkspaceError(
             "No photo says when it was taken.", remedy="Add a Sun lamp by hand (Add > Light > Sun).",
         )
-    latitude, longitude = place.origin or (present.latitude, present.longitude)
-    north = 0.0 if place.north else degrees(present.north)
+    latitude, longitude = known.origin or (present.latitude, present.longitude)
+    north = 0.0 if known.north else degrees(present.north)
     taken = capture.middle_time(times)
     utc = capture.to_utc(taken, longitude) + timedelta(hours=present.hour_correction)
     azimuth, altitude = sun.position(utc, latitude, longitude)
@@ -83,9 +83,9 @@ def _set_sun(scene: bpy.types.Scene) -> tuple[str, str]:
     properties.surface_light = "SCENE"
     stage.apply_quality(scene)
     said = [rpt_("{:%d %B %Y, %H:%M} UTC: the sun {:.0f}° high in {:.0f}°.").format(utc, altitude, azimuth)]
-    if place.origin is None:
+    if known.origin is None:
         said.append(rpt_("The place is the one typed in."))
-    if not place.north:
+    if not known.north:
         said.append(rpt_("North is the one typed in."))
     if taken.tzinfo is None:
         said.append(rpt_("The time zone is taken from the longitude."))

@@ -13,7 +13,7 @@ import bpy
 
 from ..core.base.errors import CuReconError, WorkspaceError
 from ..core.base.files import disk_errors
-from ..scene import stage
+from ..scene import site, stage
 from . import places, running
 
 POLL_SECONDS = 0.2
@@ -35,12 +35,12 @@ progress = Progress()
 def folder_of(scene: bpy.types.Scene) -> Path:
     """Where the presentation's files go: the chosen folder, else one in the workspace."""
     chosen = scene.curecon.present.folder
-    return places.absolute(chosen) if chosen else places.absolute(scene.curecon.result.workspace) / "presentation"
+    return places.absolute(chosen) if chosen else places.absolute(site.workspace(scene)) / "presentation"
 
 
 def title_of(scene: bpy.types.Scene) -> str:
     """What the sheets are headed with: the chosen title, else the workspace's name."""
-    name = places.absolute(scene.curecon.result.workspace).name.removesuffix("_curecon")
+    name = places.absolute(site.workspace(scene)).name.removesuffix("_curecon")
     return scene.curecon.present.title or name.replace("_", " ")
 
 

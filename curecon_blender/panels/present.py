@@ -49,13 +49,13 @@ class CURECON_PT_present_sun(_Part, bpy.types.Panel):
     bl_label = "Sun and Sky"
 
     def draw_part(self, context: bpy.types.Context, present: bpy.types.PropertyGroup) -> None:
-        layout, place = self.layout, site.place(context.scene)
-        if place.origin is None:
+        layout, known = self.layout, site.known(context.scene)
+        if known.origin is None:
             paragraph(layout, context, "The photos have no GPS: type in where the site is.", icon="INFO")
             column = layout.column(align=True)
             column.prop(present, "latitude")
             column.prop(present, "longitude")
-        if not place.north:
+        if not known.north:
             layout.prop(present, "north")
         layout.prop(present, "hour_correction")
         row = layout.row(align=True)
@@ -104,7 +104,7 @@ class CURECON_PT_present_elevations(_Part, bpy.types.Panel):
 
     def draw_part(self, context: bpy.types.Context, present: bpy.types.PropertyGroup) -> None:
         layout = self.layout
-        if context.scene.curecon.result.scale == "metres":
+        if site.known(context.scene).metres:
             layout.prop(present, "sheet_scale")
         else:
             paragraph(layout, context, "Scale unknown: the sheets will say so and carry no scale bar.", icon="INFO")

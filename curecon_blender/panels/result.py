@@ -7,6 +7,7 @@ from __future__ import annotations
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
+from ..scene import site
 from ..scene.surface import surfaces_of
 from ..scene.workspace import clouds_of
 from .layout import Panel, counted, paragraph
@@ -35,13 +36,14 @@ class CURECON_PT_result(Panel, bpy.types.Panel):
         if result.parts > 1:
             parts = iface_("In {} parts that do not connect").format(result.parts)
             column.label(text=parts, icon="ERROR", translate=False)
-        if result.scale == "metres":
-            source = iface_("True scale from {}").format(iface_(result.scale_source))
+        known = site.known(context.scene)
+        if known.metres:
+            source = iface_("True scale from {}").format(iface_(known.scale_source))
             paragraph(box, context, source, icon="DRIVER_DISTANCE")
         else:
             column.label(text="Scale unknown: do not measure", icon="ERROR")
-        if result.note:
-            paragraph(box, context, result.note)
+        if known.note:
+            paragraph(box, context, known.note)
         if clouds and properties.show_cloud:
             column = layout.column(align=True)
             column.prop(properties, "display_fraction", slider=True)

@@ -22,9 +22,6 @@ class CURECON_PG_result(bpy.types.PropertyGroup):
     faces: IntProperty(description="Faces of the surface; 0 when there is none")
     textured: BoolProperty(description="The surface is painted with the photos")
     filled: FloatProperty(description="Per cent of the surface's area that no photo measured, 0 to 100")
-    scale: StringProperty(description="\"metres\", or \"unknown\"")
-    scale_source: StringProperty(description="What the true scale rests on; empty when it is unknown")
-    note: StringProperty(description="What is known of scale and north, in words")
 
 
 CLASSES = (CURECON_PG_result,)

@@ -48,8 +48,8 @@ def plan(scene: bpy.types.Scene, staged: bpy.types.Scene, folder: Path) -> Plan:
     present = scene.curecon.present
     about = site.box(scene, present.facade_turn)
     pixels_per_mm = stage.PRESETS[present.quality].sheet_pixels_per_mm
-    scale = int(present.sheet_scale) if scene.curecon.result.scale == "metres" else None
-    has_north = site.place(scene).north
+    known = site.known(scene)
+    scale = int(present.sheet_scale) if known.metres else None
     stage.show_fronts_only(staged)
     surface.light(staged, by_scene=present.sheet_light == "SCENE")
     x, y = about.axis(0), about.axis(1)
@@ -65,7 +65,7 @@ def plan(scene: bpy.types.Scene, staged: bpy.types.Scene, folder: Path) -> Plan:
         sheet.paper_for(*(size * mm_per_unit))
         pixels = ceil(size[0] * mm_per_unit * pixels_per_mm), ceil(size[1] * mm_per_unit * pixels_per_mm)
         shown = pixels[0] / pixels_per_mm / mm_per_unit, pixels[1] / pixels_per_mm / mm_per_unit
-        name, orientation, north = _words(side, axes, is_plan=is_plan, has_north=has_north)
+        name, orientation, north = _words(side, axes, is_plan=is_plan, has_north=known.north)
         file = folder / f"{number}_{name.lower().replace(' ', '_')}.png"
         camera = stage.add_square(staged, name, about, axes, shown)
         made.append(Elevation(

@@ -163,10 +163,7 @@ def adjust(scene: bpy.types.Scene, part: Part, adjustment: Adjustment) -> None:
         if measurement.part == str(part.folder):
             measurement.first, measurement.second = step @ measurement.first, step @ measurement.second
             measurement.spread *= step.median_scale
-    if first:
-        show(scene, part.frame)
-        properties.result.scale, properties.result.note = part.frame.scale, part.frame.note
-        properties.result.scale_source = part.scale_source
+    show_units(scene)
 
 
 def forget_position(scene: bpy.types.Scene) -> None:
@@ -186,9 +183,9 @@ def has_position(scene: bpy.types.Scene) -> bool:
             or present.is_property_set("latitude") or present.is_property_set("longitude"))
 
 
-def show(scene: bpy.types.Scene, frame: Frame) -> None:
-    """Let lengths read as metres, or as plain numbers where nobody measured them."""
-    if frame.scale == "metres":
+def show_units(scene: bpy.types.Scene) -> None:
+    """Let the scene's lengths read as metres, or as plain numbers where nobody measured those of some part."""
+    if all(part.frame.scale == "metres" for part in parts_of(scene)):
         scene.unit_settings.system, scene.unit_settings.length_unit = "METRIC", "METERS"
         scene.unit_settings.scale_length = 1.0
     else:
@@ -208,9 +205,10 @@ def _put(collection: bpy.types.Collection, adjustment: Adjustment) -> None:
     """Write the adjustment on a part, and what is then known of its frame also on its surfaces, which keep it when they
     are exported on their own."""
     collection[ADJUSTMENT_KEY] = alignment.to_json(adjustment)
-    frame = Part(collection).frame
-    known = {"scale": frame.scale, "up": frame.up, "north": frame.north, "note": frame.note or None,
-             "gps_residual": frame.gps_residual}
+    part = Part(collection)
+    frame = part.frame
+    known = {"scale": frame.scale, "scale_source": part.scale_source or None, "up": frame.up, "north": frame.north,
+             "note": frame.note or None, "gps_residual": frame.gps_residual}
     for name in ("latitude", "longitude", "altitude"):
         known[f"origin_{name}"] = None if frame.origin is None else getattr(frame.origin, name)
     for holder in (collection, *filter(surface.is_surface, collection.all_objects)):

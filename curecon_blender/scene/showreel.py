@@ -23,7 +23,7 @@ def shots(scene: bpy.types.Scene, staged: bpy.types.Scene, folder: Path) -> list
     present, about = scene.curecon.present, site.box(scene)
     share = stage.PRESETS[present.quality].film_percentage / 100
     size = round(flight.FILM_SIZE[0] * share), round(flight.FILM_SIZE[1] * share)
-    has_north = site.place(scene).north
+    has_north = site.known(scene).north
     height = (present.height - 0.5) * about.height
     made = []
     for number in range(1, 6):

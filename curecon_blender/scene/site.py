@@ -15,8 +15,9 @@ from ..core.base.ground import LEVEL, lowest_wide_level
 from ..core.site import footprint
 from ..core.site.adjustment import FrameError
 from . import points, surface
+from .frame import world_matrix
 from .surface import is_surface, surfaces_of
-from .workspace import clouds_of
+from .workspace import WORKSPACE_KEY, clouds_of
 
 GROUND_SAMPLE = 25_000  # points that suffice to tell where the ground is, in a step that nobody notices
 
@@ -51,17 +52,26 @@ class Box:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Place:
-    """What is known of the frame: is +Y north, and its origin's (latitude, longitude) in degrees."""
+class Known:
+    """What is known of the frame of what is presented: are its units metres, and what that rests on in words; is +Y
+    north; its origin's (latitude, longitude) in degrees; and a sentence on all of it for the user."""
 
-    north: bool
-    origin: tuple[float, float] | None
+    metres: bool = False
+    scale_source: str = ""
+    north: bool = False
+    origin: tuple[float, float] | None = None
+    note: str = ""
 
 
 def subject(scene: bpy.types.Scene) -> bpy.types.Object | None:
-    """The largest surface or cloud that renders show; where all are hidden, the largest of all."""
+    """What is presented: the largest surface, or else cloud, that renders show, of those about the middle of the region
+    box where there is one. Where renders show none, the largest of all."""
     found = [*surfaces_of(scene), *clouds_of(scene)]
-    return next((item for item in found if not item.hide_render), found[0] if found else None)
+    drawn = _drawn(scene)
+    shown = [item for item in found if item.name in drawn] or found
+    region = scene.curecon.region
+    about = [item for item in shown if _holds(item, region)] if region is not None else []
+    return next(iter(about or shown), None)
 
 
 def box(scene: bpy.types.Scene, turned_by: float = 0.0) -> Box:
@@ -93,15 +103,27 @@ def box(scene: bpy.types.Scene, turned_by: float = 0.0) -> Box:
     )
 
 
-def place(scene: bpy.types.Scene) -> Place:
-    """What is known of the frame of what is presented."""
+def known(scene: bpy.types.Scene) -> Known:
+    """What is known of the frame of what is presented: its part's record, or its own where the user has taken it out of
+    the part's collection."""
     item = subject(scene)
-    holders = [item, *item.users_collection] if item is not None else []
-    holder = next((h for h in holders if "north" in h), None)
+    holders = [*item.users_collection, item] if item is not None else []
+    holder = next((h for h in holders if "scale" in h), None)
     if holder is None:
-        return Place(north=False, origin=None)
+        return Known()
     origin = (holder["origin_latitude"], holder["origin_longitude"]) if "origin_latitude" in holder else None
-    return Place(north=bool(holder["north"]), origin=origin)
+    return Known(
+        metres=holder["scale"] == "metres", scale_source=holder.get("scale_source", ""), north=bool(holder["north"]),
+        origin=origin, note=holder.get("note", ""),
+    )
+
+
+def workspace(scene: bpy.types.Scene) -> str:
+    """The folder of the workspace that what is presented came from; of the last import where no collection tells."""
+    item = subject(scene)
+    found: str = next((child[WORKSPACE_KEY] for child in scene.collection.children if item is not None
+                       and WORKSPACE_KEY in child and item.name in child.all_objects), scene.curecon.result.workspace)
+    return found
 
 
 def ground(cloud: bpy.types.Object, world_from_cloud: np.ndarray) -> float:
@@ -118,6 +140,26 @@ def ground(cloud: bpy.types.Object, world_from_cloud: np.ndarray) -> float:
         raise FrameError(
             f"Nothing level was measured in {cloud.name}.", remedy="Level the site first, or move it by hand.")
     return lowest_wide_level(heights, level)
+
+
+def _drawn(scene: bpy.types.Scene) -> set[str]:
+    """The names of the objects that renders show."""
+    names: set[str] = set()
+    layers = [scene.view_layers[0].layer_collection]
+    while layers:
+        layer = layers.pop()
+        if not layer.exclude and not layer.collection.hide_render:
+            names.update(item.name for item in layer.collection.objects if not item.hide_render)
+            layers += layer.children
+    return names
+
+
+def _holds(item: bpy.types.Object, region: bpy.types.Object) -> bool:
+    """Whether the middle of a region box lies within the bounds of a surface or a cloud."""
+    middle = region.matrix_world @ Vector(np.mean([list(corner) for corner in region.bound_box], axis=0).tolist())
+    inside = np.array(world_matrix(item).inverted_safe() @ middle)
+    corners = np.array([list(corner) for corner in item.bound_box])
+    return bool(np.all((inside >= corners.min(axis=0)) & (inside <= corners.max(axis=0))))
 
 
 def _box_of_region(region: bpy.types.Object, turned_by: float) -> Box:

@@ -12,7 +12,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..core.base.records import Component, Frame
+from ..core.base.records import Component
 from ..core.cloud.edits import is_stale, read_removed
 from ..core.cloud.ply import read_cloud
 from ..core.run.workspace import refuse_links
@@ -36,8 +36,6 @@ class Imported:
     surfaces: tuple[bpy.types.Object, ...]
     filled: float
     cameras: tuple[bpy.types.Object, ...]
-    frame: Frame
-    scale_source: str  # what the true scale rests on, in words; empty when it is unknown
     parts: int
     missing_pictures: int
     stale_edits: bool  # points were taken out of an earlier cloud; this one has all of its own
@@ -225,15 +223,12 @@ def _place(scene: bpy.types.Scene, content: Content, top: bpy.types.Collection) 
     if photo_cameras:
         scene.camera = photo_cameras[0]
         cameras.fit_render(scene, photo_cameras[0])
-    placed = [part for part in frame.parts_of(scene) if part.collection in {top, *top.children}]
-    if placed:
-        frame.show(scene, placed[0].frame)
+    frame.show_units(scene)
     display.apply(scene, list(clouds))
     return Imported(
         collection=top, clouds=clouds, cameras=photo_cameras,
         surfaces=tuple(item for item in top.all_objects if surface.is_surface(item)), filled=content.filled,
-        frame=placed[0].frame if placed else Frame(scale="unknown", up="given"),
-        scale_source=placed[0].scale_source if placed else "", parts=len(content.parts),
+        parts=len(content.parts),
         missing_pictures=sum(not item.data.background_images for item in photo_cameras),
         stale_edits=content.stale_edits, cleared=cleared, bounds=content.bounds,
     )

@@ -19,7 +19,7 @@ from mathutils import Vector
 
 import curecon_blender
 from curecon_blender.core.cloud.ply import Cloud, CloudWriter
-from curecon_blender.scene import measurements
+from curecon_blender.scene import measurements, site
 from curecon_blender.scene.frame import world_matrix
 from curecon_blender.scene.points import positions
 from curecon_blender.scene.surface import surfaces_of
@@ -58,9 +58,9 @@ def check_photos() -> None:
         with bpy.context.temp_override(active_object=camera):
             bpy.ops.curecon.look_through(which="SELECTED")
         K, cam_from_world = workspace_scene.camera(index)
-        for place, site in zip(where(SLAB), SLAB, strict=True):
+        for place, given in zip(where(SLAB), SLAB, strict=True):
             seen = world_to_camera_view(scene(), camera, Vector(place))
-            projected = K @ (cam_from_world[:, :3] @ site + cam_from_world[:, 3])
+            projected = K @ (cam_from_world[:, :3] @ given + cam_from_world[:, 3])
             pixel = np.array([seen.x * width, (1 - seen.y) * height])
             assert np.abs(pixel - projected[:2] / projected[2]).max() < 0.02, (name, pixel, projected)
         assert np.allclose(camera.scale, 1)
@@ -87,8 +87,8 @@ def check_tools() -> None:
     np.testing.assert_allclose(where(SLAB), 2.5 * SLAB, atol=1e-4)
     np.testing.assert_allclose(np.array(properties.region.matrix_world)[:3], 2.5 * region[:3], atol=1e-4)
     check_photos()
-    result = properties.result
-    assert (result.scale, result.scale_source) == ("metres", "a measured distance of 25.00 m"), result.scale_source
+    known = site.known(scene())
+    assert known.metres and known.scale_source == "a measured distance of 25.00 m", known
     assert scene().unit_settings.system == "METRIC"
     words = measurements.in_words(scene(), properties.measurements[0])
     assert words == "25 m ± 2 m", words  # the slab is a thick haze, and its scale rests on two picks in it
@@ -159,7 +159,7 @@ def check_files() -> np.ndarray:
         assert bpy.ops.curecon.import_workspace(directory=str(SITE)) == {"FINISHED"}
         np.testing.assert_allclose(where(SLAB), stands, atol=1e-4)
     check_photos()
-    assert scene().curecon.result.scale_source == "a measured distance of 25.00 m"
+    assert site.known(scene()).scale_source == "a measured distance of 25.00 m"
     assert " m ± " in measurements.in_words(scene(), scene().curecon.measurements[0])
 
     assert bpy.ops.curecon.export_surface(filepath=str(FOLDER / "out.ply"), form="PLY") == {"FINISHED"}
@@ -195,7 +195,7 @@ def check_undo(stands: np.ndarray) -> None:
     assert not KEPT.exists() and not bpy.ops.curecon.frame_reset.poll()
     np.testing.assert_allclose(where(SLAB), SLAB, atol=1e-4)
     check_photos()
-    assert scene().curecon.result.scale == "unknown" and scene().unit_settings.system == "NONE"
+    assert not site.known(scene()).metres and scene().unit_settings.system == "NONE"
 
 
 curecon_blender.register()
@@ -234,7 +234,7 @@ try:
     bpy.context.view_layer.update()
     assert np.isclose(second.matrix_world.median_scale, 3) and bpy.data.objects["Cloud 1"].scale.x == 1
     assert (FOLDER / "parts" / "sparse" / "1" / "adjustment.json").is_file()
-    assert scene().curecon.result.scale == "unknown"  # of the first part
+    assert site.subject(scene()) == bpy.data.objects["Cloud 1"] and not site.known(scene()).metres
 
     # A .blend to be given away does not tell where the site is; its workspace still does.
     scene().curecon.present.longitude = 117.25

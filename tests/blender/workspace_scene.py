@@ -42,8 +42,9 @@ def camera(index: int) -> tuple[np.ndarray, np.ndarray]:
     return calibration, np.column_stack([rotation, -rotation @ centre])
 
 
-def write(folder: Path, *, parts: int = 1, scale: str = "metres") -> None:
-    """Write the workspace with `parts` components, each with the same cameras and cloud."""
+def write(folder: Path, *, parts: int = 1, scale: str = "metres", placed: bool = True) -> None:
+    """Write the workspace with `parts` components, each with the same cameras and cloud; not `placed`, nobody knows
+    where it stands and where north is."""
     (folder / "undistorted").mkdir(parents=True)
     picture = bpy.data.images.new("picture", *SIZE)
     for name in PHOTOS:
@@ -51,7 +52,7 @@ def write(folder: Path, *, parts: int = 1, scale: str = "metres") -> None:
         picture.file_format = "PNG"
         picture.save()
     bpy.data.images.remove(picture)
-    origin = GeoPosition(latitude=24.5, longitude=117.25, altitude=310.0)
+    origin = GeoPosition(latitude=24.5, longitude=117.25, altitude=310.0) if placed else None
     made = []
     for part in range(parts):
         (folder / "sparse" / str(part)).mkdir(parents=True)
@@ -64,7 +65,7 @@ def write(folder: Path, *, parts: int = 1, scale: str = "metres") -> None:
             ))
         made.append(Component(
             index=part, sparse=f"sparse/{part}", cloud="cloud.ply" if part == 0 else f"cloud_{part}.ply",
-            frame=Frame(scale=scale, up="gps", north=True, origin=origin, note="A slab."), views=tuple(views),
+            frame=Frame(scale=scale, up="gps", north=placed, origin=origin, note="A slab."), views=tuple(views),
         ))
         with CloudWriter(folder / made[-1].cloud) as writer:
             writer.write(cloud())

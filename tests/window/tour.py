@@ -182,12 +182,12 @@ def measure(person: Person) -> Wait:
 def frame(person: Person) -> Wait:
     """Scale by two picked points, as far apart as they are, and the ground to Z = 0."""
     step("frame")
-    properties = bpy.context.scene.curecon
     yield from person.push("curecon.frame_scale")
     place = yield from pick_two(person)
     yield from person.picture("scale")  # the dialog under the pointer asks for the known distance
     yield from person.press("RET", *place)
-    yield from person.until(lambda: "measured distance" in properties.result.scale_source, seconds=20, what="the scale")
+    yield from person.until(lambda: any("measured distance" in collection.get("scale_source", "")
+                                        for collection in bpy.data.collections), seconds=20, what="the scale")
     yield from person.push("curecon.frame_ground")
     yield 0.5
     item = next(item for item in bpy.context.scene.objects if item.type == "POINTCLOUD")
