@@ -35,7 +35,7 @@ from curecon_blender.core.network import weights
 from curecon_blender.core.photos import capture
 from curecon_blender.core.photos.check import check_photos
 from curecon_blender.core.photos.metadata import read_metadata
-from curecon_blender.core.run import pipeline
+from curecon_blender.core.photos.record import read_photos, write_photos
 from curecon_blender.core.run.workspace import Workspace
 from curecon_blender.core.site import adjustment as alignment
 from curecon_blender.core.sparse import models as colmap_model
@@ -79,7 +79,7 @@ RECORDS: dict[str, Callable[[Path], object]] = {
     "views.json": components.read,
     "sparse/0/frame.json": lambda folder: georeference.read_frame(folder / "sparse" / "0"),
     "sparse/0/adjustment.json": lambda folder: alignment.read(folder / "sparse" / "0"),
-    "photos.json": lambda folder: pipeline._photo_set_from_json(folder / "photos.json"),
+    "photos.json": read_photos,
     "workspace.json": lambda folder: Workspace(folder).__enter__(),
 }
 
@@ -472,8 +472,8 @@ def test_a_photo_whose_name_is_no_text_is_left_out(tmp_path: Path) -> None:
     photo_set = check_photos(folder, Reporter())
     assert len(photo_set.photos) == 4
     assert any("no text" in skip.reason for skip in photo_set.skipped)
-    pipeline.write_json(tmp_path / "photos.json", pipeline._photo_set_to_json(photo_set))
-    assert pipeline._photo_set_from_json(tmp_path / "photos.json") == photo_set
+    write_photos(tmp_path, photo_set)
+    assert read_photos(tmp_path) == photo_set
 
 
 # ---- weights

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,7 +13,8 @@ import pytest
 from test_extension import blender, run_script  # noqa: F401
 
 from curecon_blender.core.base.errors import SurfaceError, WorkspaceError
-from curecon_blender.core.photos import capture
+from curecon_blender.core.base.records import Photo, PhotoSet
+from curecon_blender.core.photos import capture, record
 from curecon_blender.core.present import camera_path, sheet, sheet_files, sun
 from curecon_blender.core.site import footprint
 
@@ -64,14 +64,16 @@ def test_the_sun_of_the_sample_site_is_where_its_shadows_say() -> None:
 def test_capture_times_come_in_order_and_say_what_is_known_of_their_zone(tmp_path: Path) -> None:
     with pytest.raises(WorkspaceError, match="capture times are unknown"):
         capture.read_times(tmp_path)
-    photos = [{"name": "c", "time": "2024-09-28T10:49:00+08:00"}, {"name": "a", "time": "2024-09-28T10:48:00"},
-              {"name": "b", "time": None}, {"name": "d", "time": "2024-09-28T10:50:00"}]
-    (tmp_path / capture.FILE_NAME).write_text(json.dumps({"photos": photos, "skipped": []}))
+    taken = {"c": "2024-09-28T10:49:00+08:00", "a": "2024-09-28T10:48:00", "b": None, "d": "2024-09-28T10:50:00"}
+    record.write_photos(tmp_path, PhotoSet(photos=tuple(
+        Photo(name=name, path=tmp_path / name, width=4, height=3, camera="", focal_px=None, time=time)
+        for name, time in taken.items()
+    )))
     times = capture.read_times(tmp_path)
     assert list(times) == ["a", "c", "d"] and capture.middle_time(times) == times["c"]
     assert capture.to_utc(times["c"], 0.0) == datetime(2024, 9, 28, 2, 49, tzinfo=UTC)  # its own offset counts
     assert capture.to_utc(times["a"], 117.0) == datetime(2024, 9, 28, 2, 48, tzinfo=UTC)  # the longitude's hour
-    (tmp_path / capture.FILE_NAME).write_text("{")
+    (tmp_path / record.FILE_NAME).write_text("{")
     with pytest.raises(WorkspaceError, match="damaged"):
         capture.read_times(tmp_path)
 

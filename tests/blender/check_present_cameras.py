@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 
@@ -58,8 +57,9 @@ try:
     assert not bpy.ops.curecon.move_camera.poll() and not bpy.ops.curecon.look_through.poll()
     workspace_scene.write(FOLDER)
     surface_scene.write(FOLDER, textured=False)
-    photos = [{"name": name, "time": f"2024-09-28T10:0{index}:00"} for index, name in enumerate(ORDER)]
-    (FOLDER / "photos.json").write_text(json.dumps({"photos": photos, "skipped": []}), encoding="utf-8")
+    workspace_scene.tell_times(FOLDER, {
+        name: f"2024-09-28T10:0{index}:00" for index, name in enumerate(ORDER)
+    })
     bpy.ops.curecon.import_workspace(directory=str(FOLDER))
     scene = bpy.context.scene
     present = scene.curecon.present

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
@@ -24,9 +23,9 @@ LATITUDE, LONGITUDE = 24.5, 117.25  # of the little workspace
 
 
 def tell_times(zone: str) -> None:
-    photos = [{"name": name, "time": f"2024-09-28T10:4{minute}:00{zone}"}
-              for minute, name in enumerate(workspace_scene.PHOTOS)]
-    (FOLDER / "photos.json").write_text(json.dumps({"photos": photos, "skipped": []}), encoding="utf-8")
+    workspace_scene.tell_times(FOLDER, {
+        name: f"2024-09-28T10:4{minute}:00{zone}" for minute, name in enumerate(workspace_scene.PHOTOS)
+    })
 
 
 def lamp_direction() -> np.ndarray:

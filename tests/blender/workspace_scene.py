@@ -9,8 +9,9 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from curecon_blender.core.base.records import Component, Frame, GeoPosition, View
+from curecon_blender.core.base.records import Component, Frame, GeoPosition, Photo, PhotoSet, View
 from curecon_blender.core.cloud.ply import Cloud, CloudWriter
+from curecon_blender.core.photos.record import write_photos
 from curecon_blender.core.views import record as components
 
 POINTS = 2000
@@ -40,6 +41,15 @@ def camera(index: int) -> tuple[np.ndarray, np.ndarray]:
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
     return calibration, np.column_stack([rotation, -rotation @ centre])
+
+
+def tell_times(folder: Path, times: dict[str, str]) -> None:
+    """Write a record of photos taken at `times`, by their names."""
+    width, height = SIZE
+    write_photos(folder, PhotoSet(photos=tuple(
+        Photo(name=name, path=folder / name, width=width, height=height, camera="DJI", focal_px=None, time=time)
+        for name, time in times.items()
+    )))
 
 
 def write(folder: Path, *, parts: int = 1, scale: str = "metres", placed: bool = True) -> None:

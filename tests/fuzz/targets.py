@@ -113,14 +113,14 @@ def _make_picture(folder: Path) -> None:
 def _read_picture(folder: Path) -> None:
     from curecon_blender.core.base.records import Photo, PhotoSet
     from curecon_blender.core.photos import check as photos
-    from curecon_blender.core.run import pipeline
+    from curecon_blender.core.photos.record import read_photos, write_photos
 
     photo = photos._examine(folder / PHOTO)
     if isinstance(photo, Photo):
         photo_set = PhotoSet(photos=tuple(replace(photo, name=f"{i}.jpg") for i in range(3)))
         json.dumps(photos.describe(photo_set), allow_nan=False)
-        pipeline.write_json(folder / "photos.json", pipeline._photo_set_to_json(photo_set))
-        assert pipeline._photo_set_from_json(folder / "photos.json") == photo_set
+        write_photos(folder, photo_set)
+        assert read_photos(folder) == photo_set
         _read_times(folder)
 
 
@@ -265,7 +265,7 @@ def _read_points(folder: Path) -> None:
 
 def _make_workspace(folder: Path) -> None:
     from curecon_blender.core.base.records import Component, Frame, GeoPosition, Gimbal, Photo, PhotoSet, SkippedPhoto
-    from curecon_blender.core.run.pipeline import _photo_set_to_json
+    from curecon_blender.core.photos.record import write_photos
     from curecon_blender.core.run.workspace import StageRecord, Workspace
     from curecon_blender.core.site import adjustment as alignment
     from curecon_blender.core.sparse import placement as georeference
@@ -285,8 +285,7 @@ def _make_workspace(folder: Path) -> None:
                   gps=place, gimbal=Gimbal(yaw=1, pitch=-90, roll=0), relative_altitude=30.0, sharpness=1.0,
                   time="2026-01-01T00:00:00+08:00")
     skipped = SkippedPhoto(path=Path("/photos/2.jpg"), reason="cut short")
-    record = _photo_set_to_json(PhotoSet(photos=(photo,), skipped=(skipped,)))
-    (folder / "photos.json").write_text(json.dumps(record))
+    write_photos(folder, PhotoSet(photos=(photo,), skipped=(skipped,)))
     with Workspace(folder) as workspace:
         workspace.mark_done("depth", StageRecord(key="k", seconds=1.0, peak_gib=0.5))
     (folder / "speeds.json").write_text(json.dumps({"depth cpu": [1.0, 1.2], "sparse": [0.9]}))
@@ -334,9 +333,9 @@ def _read_adjustment(folder: Path) -> None:
 
 
 def _read_photo_set(folder: Path) -> None:
-    from curecon_blender.core.run import pipeline
+    from curecon_blender.core.photos.record import read_photos
 
-    for photo in pipeline._photo_set_from_json(folder / "photos.json").photos:
+    for photo in read_photos(folder).photos:
         assert Path(photo.name).name == photo.name
 
 

@@ -8,9 +8,8 @@ from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 
 from ..base.errors import WorkspaceError
-from ..base.reading import read_json
+from .record import FILE_NAME, read_photos
 
-FILE_NAME = "photos.json"
 FIRST_YEAR, LAST_YEAR = 1900, 2200  # of a photo's time; a clock beyond them was never set
 
 
@@ -20,19 +19,16 @@ def read_times(workspace: Path) -> dict[str, datetime]:
     A time is aware (with its offset from UTC) where the photo has EXIF's offset tag, otherwise naive: the camera's
     local time. Raises WorkspaceError when the record is missing or damaged.
     """
-    path = workspace / FILE_NAME
+    taken = {photo.name: photo.time for photo in read_photos(workspace).photos if photo.time}
     try:
-        photos = read_json(path)["photos"]
-        times = {photo["name"]: datetime.fromisoformat(photo["time"]) for photo in photos if photo["time"]}
-        if not all(isinstance(name, str) and FIRST_YEAR <= time.year <= LAST_YEAR for name, time in times.items()):
+        times = {name: datetime.fromisoformat(time) for name, time in taken.items()}
+        if not all(FIRST_YEAR <= time.year <= LAST_YEAR for time in times.values()):
             raise ValueError("a time that no photo can have")
-    except FileNotFoundError as error:
+    except ValueError as error:
+        path = workspace / FILE_NAME
         raise WorkspaceError(
-            f"{path} is missing, so the photos' capture times are unknown.",
-            remedy="Run Reconstruct with the photos in this workspace.", path=path,
+            f"{path} is damaged ({error}).", remedy="Delete it and run Reconstruct again.", path=path
         ) from error
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise WorkspaceError(f"{path} is damaged.", remedy="Delete it and run Reconstruct again.", path=path) from error
     # By the clock's face: photos with and without an offset cannot be compared otherwise.
     return dict(sorted(times.items(), key=lambda item: (item[1].replace(tzinfo=None), item[0])))
 

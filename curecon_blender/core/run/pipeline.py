@@ -19,12 +19,13 @@ import psutil
 
 from ..base.allocator import release
 from ..base.errors import DeviceError, PhotoError, SparseError, SurfaceError, WorkspaceError, ran_out_of_memory
-from ..base.files import scratch_folder, write_json
+from ..base.files import scratch_folder
 from ..base.messages import Reporter
 from ..base.options import STAGES, SURFACE_STAGES, Options
-from ..base.reading import build, read_json
 from ..base.records import Component, PhotoSet
 from ..cloud.ply import point_count
+from ..photos import record as photos_record
+from ..photos.record import read_photos, write_photos
 from ..surface.mesh import filled_share, mesh_file, read_mesh, textured_folder, write_mesh
 from ..views import record as components_file
 from .workspace import StageRecord, Workspace, folder_bytes, key_of
@@ -107,7 +108,7 @@ class _Job:
             raise WorkspaceError(
                 f"The cloud of {root} is not finished.", remedy="Run Reconstruct to the end first.", path=root,
             )
-        self.photo_set = _photo_set_from_json(root / "photos.json")
+        self.photo_set = read_photos(root)
         self.components, self.key = components_file.read(root), record.key
 
     def photos(self) -> None:
@@ -116,13 +117,14 @@ class _Job:
         assert self.options.photos is not None
         source = self.options.photos.absolute()
         self.files = {path: _size_and_time(path) for path in find_photos(source)}
-        file = self.workspace.root / "photos.json"
+        root = self.workspace.root
 
         def run() -> None:
-            write_json(file, _photo_set_to_json(check_photos(source, self.reporter)))
+            write_photos(root, check_photos(source, self.reporter))
 
-        self._stage("photos", {"files": [(str(path), *facts) for path, facts in self.files.items()]}, run, [file.name])
-        self.photo_set = _photo_set_from_json(file)
+        self._stage("photos", {"files": [(str(path), *facts) for path, facts in self.files.items()]}, run,
+                    [photos_record.FILE_NAME])
+        self.photo_set = read_photos(root)
         # What follows depends on the pictures and not on where they lie: a moved or copied folder is checked again,
         # and finds everything else done.
         self.key = key_of([{**asdict(photo), "path": None} for photo in self.photo_set.photos])
@@ -443,24 +445,3 @@ def _described(root: Path, index: int) -> dict[str, Any]:
 def _registered(sparse: Path) -> list[int]:
     """Registered photos of each component: the count that a binary COLMAP model's images begin with."""
     return [int.from_bytes(file.read_bytes()[:8], "little") for file in sorted(sparse.glob("[0-9]*/images.bin"))]
-
-
-def _photo_set_to_json(photo_set: PhotoSet) -> dict[str, Any]:
-    return {
-        "photos": [{**asdict(p), "path": str(p.path)} for p in photo_set.photos],
-        "skipped": [{"path": str(s.path), "reason": s.reason} for s in photo_set.skipped],
-    }
-
-
-def _photo_set_from_json(file: Path) -> PhotoSet:
-    try:
-        photo_set: PhotoSet = build(PhotoSet, read_json(file))
-        if len({photo.name.casefold() for photo in photo_set.photos}) != len(photo_set.photos):
-            raise ValueError("two photos have one name")
-        return photo_set
-    except (OSError, ValueError) as error:
-        raise WorkspaceError(
-            f"{file} is missing or damaged ({error}).", path=file,
-            remedy=f"Delete the folder {file.parent / 'stages'} and run it again.",
-        ) from error
-

@@ -1,0 +1,43 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`photos.json` of a workspace: what the photo check found."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+
+from ..base.errors import WorkspaceError
+from ..base.files import write_json
+from ..base.reading import build, read_json
+from ..base.records import PhotoSet
+
+FILE_NAME = "photos.json"
+
+
+def write_photos(workspace: Path, photo_set: PhotoSet) -> None:
+    """Write `photos.json` (atomically) into the workspace folder. Raises WorkspaceError."""
+    write_json(workspace / FILE_NAME, {
+        "photos": [{**asdict(photo), "path": str(photo.path)} for photo in photo_set.photos],
+        "skipped": [{"path": str(skip.path), "reason": skip.reason} for skip in photo_set.skipped],
+    })
+
+
+def read_photos(workspace: Path) -> PhotoSet:
+    """The inverse of `write_photos`. Raises WorkspaceError when the record is missing or damaged."""
+    path = workspace / FILE_NAME
+    try:
+        photo_set: PhotoSet = build(PhotoSet, read_json(path))
+        if len({photo.name.casefold() for photo in photo_set.photos}) != len(photo_set.photos):
+            raise ValueError("two photos have one name")
+        return photo_set
+    except FileNotFoundError as error:
+        raise WorkspaceError(
+            f"{path} is missing, so the photos' places and capture times are unknown.", path=path,
+            remedy="Run Reconstruct with the photos in this workspace.",
+        ) from error
+    except (OSError, ValueError) as error:
+        raise WorkspaceError(
+            f"{path} is damaged ({error}).", path=path,
+            remedy=f"Delete the folder {workspace / 'stages'} and run Reconstruct again.",
+        ) from error
