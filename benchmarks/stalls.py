@@ -226,7 +226,7 @@ def main() -> None:
     parser.add_argument("--photos", type=Path)
     parser.add_argument("--preview", action="store_true")
     options = parser.parse_args(sys.argv[sys.argv.index("--") + 1:])
-    from curecon_blender import operators
+    from curecon_blender import operators, preferences
     from curecon_blender.operators import running
     from curecon_blender.scene import display, history, viewport
 
@@ -241,7 +241,7 @@ def main() -> None:
     curecon_blender.register()
     bpy.context.preferences.view.show_splash = False
     addon = bpy.context.preferences.addons.new()  # what enabling it would do, so that it has preferences
-    addon.module = curecon_blender.ADDON
+    addon.module = preferences.ADDON
     addon.preferences.worker_python = options.worker_python
     steps = story(heart, options)
 

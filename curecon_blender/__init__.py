@@ -5,18 +5,14 @@
 Nothing here imports bpy until Blender calls `register`, so that `curecon_blender.core` works in any Python.
 """
 
-# The add-on's name in Blender is that of the extension (bl_ext.<repository>.curecon_blender), one package up from this
-# one; in a source checkout this package stands alone.
-ADDON = __package__.rpartition(".")[0] or __package__
-
 
 def register() -> None:
     import bpy
 
-    from . import operators, panels, preferences, properties
+    from . import operators, panels, properties
     from .scene import history, overlay, viewport
 
-    for cls in (*preferences.CLASSES, *properties.CLASSES, *operators.CLASSES, *panels.CLASSES):
+    for cls in (*properties.CLASSES, *operators.CLASSES, *panels.CLASSES):
         bpy.utils.register_class(cls)
     properties.attach()
     operators.add_menus()
@@ -28,7 +24,7 @@ def register() -> None:
 def unregister() -> None:
     import bpy
 
-    from . import operators, panels, preferences, properties, thumbnails
+    from . import operators, panels, properties, thumbnails
     from .operators import running
     from .scene import history, overlay, viewport
 
@@ -39,5 +35,5 @@ def unregister() -> None:
     viewport.stop()
     operators.remove_menus()
     properties.detach()
-    for cls in reversed((*preferences.CLASSES, *properties.CLASSES, *operators.CLASSES, *panels.CLASSES)):
+    for cls in reversed((*properties.CLASSES, *operators.CLASSES, *panels.CLASSES)):
         bpy.utils.unregister_class(cls)

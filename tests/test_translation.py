@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 ADDON = Path(__file__).resolve().parent.parent / "curecon_blender"
-FILES = sorted([*(ADDON / "operators").glob("*.py"), *(ADDON / "panels").glob("*.py"), ADDON / "preferences.py"])
+FILES = sorted([*(ADDON / "operators").glob("*.py"), *(ADDON / "panels").glob("*.py")])
 WORDS = re.compile(r"[A-Za-z]{2,}[,.:;]? |[,.:;]? [A-Za-z]{2,}")
 UNITS = {" GiB", " MiB"}
 ENGLISH = {"diagnostics", "described"}  # text to send to the developers

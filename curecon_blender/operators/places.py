@@ -10,9 +10,8 @@ from pathlib import Path
 
 import bpy
 
-from .. import ADDON
 from ..core.base.errors import PhotoError
-from ..preferences import settings
+from ..preferences import ADDON, settings
 from ..scene import site
 
 

@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The sidebar tab CU-Recon of the 3D viewport, one file a step."""
+"""The sidebar tab CU-Recon of the 3D viewport, one file a step, and the add-on's page in the preferences."""
 
 from __future__ import annotations
 
-from . import cloud, frame, photos, present, reconstruct, result, surface
+from . import cloud, frame, photos, preferences, present, reconstruct, result, surface
 
 CLASSES = (
-    *photos.CLASSES, *reconstruct.CLASSES, *result.CLASSES, *cloud.CLASSES, *frame.CLASSES, *surface.CLASSES,
-    *present.CLASSES,
+    *preferences.CLASSES, *photos.CLASSES, *reconstruct.CLASSES, *result.CLASSES, *cloud.CLASSES, *frame.CLASSES,
+    *surface.CLASSES, *present.CLASSES,
 )

@@ -10,11 +10,11 @@ import blf
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from .. import ADDON
 from ..core.base.messages import Failure
 from ..job import Status, duration
 from ..operators import running
 from ..operators.running import STAGE_NAMES
+from ..preferences import ADDON
 
 QUALITYS_OWN = "0 takes the quality's own:"
 

@@ -8,10 +8,10 @@ import bpy
 from bl_ui.utils import PresetPanel
 from bpy.app.translations import pgettext_iface as iface_
 
-from .. import ADDON
 from ..core.base.options import QUALITIES
 from ..job import duration
 from ..operators import presets, running
+from ..preferences import ADDON
 from .layout import QUALITYS_OWN, AdvancedPanel, Panel, action, draw_outcome, draw_progress, gibibytes, paragraph
 
 
