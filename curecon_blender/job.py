@@ -30,6 +30,7 @@ from .core.base.messages import (
     decode,
     failure,
 )
+from .core.base.options import RUN, declared
 
 LOG_NAME = "worker.log"
 CANCEL_GRACE = 15.0  # seconds a worker has to stop by itself: one tile or one pycolmap call
@@ -37,7 +38,7 @@ LOG_GRACE = 2.0  # seconds to take in what a worker that has ended said last
 LAST_WARNINGS = 5
 LAST_WORDS = 4000  # bytes
 KILLED = -getattr(signal, "SIGKILL", 9)
-HALF_MEMORY = "--half-memory"
+HALF_MEMORY = next(argument.flag for option, argument in declared(RUN) if option.name == "half_memory")
 MISSING_MODULE = re.compile(r"ModuleNotFoundError: No module named '([\w.]+)'")
 DISK_FULL = re.compile(r"disk is full|No space left on device")  # COLMAP's database ends the process then
 
@@ -243,7 +244,7 @@ class Job:
     def _start_with_half_the_memory(self) -> bool:
         """Start a job's worker again after the system has killed it, unless it was that already or was cancelled."""
         with self._starting:
-            if self.cancelled or self._arguments[:1] != ["reconstruct"] or HALF_MEMORY in self._arguments:
+            if self.cancelled or self._arguments[:1] != [RUN] or HALF_MEMORY in self._arguments:
                 return False
             self._arguments.append(HALF_MEMORY)
             try:

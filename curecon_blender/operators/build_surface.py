@@ -9,39 +9,14 @@ from typing import Any
 
 import bpy
 
-from ..core.base.errors import SurfaceError
-from ..core.base.options import PRESETS
+from ..core.base.options import SURFACE, arguments
 from ..scene import region
 from ..scene.surface import surfaces_of
 from ..scene.workspace import clouds_of
 from . import places, running
 from .import_workspace import bring_in
+from .job_options import surface_options
 from .running import Steps, WorkerOperator
-
-
-def surface_arguments(scene: bpy.types.Scene) -> list[str]:
-    """The worker's options for mesh and texture, as the scene has them. Raises SurfaceError when a region is asked for
-    and there is none."""
-    properties = scene.curecon
-    faces = properties.max_faces or PRESETS[properties.quality].mesh_faces
-    arguments = [
-        "--fill-holes" if properties.fill_holes else "--no-fill-holes", "--max-faces", str(faces),
-        "--texture-size", properties.texture_size, "--texture-format", properties.texture_format,
-    ]
-    if properties.use_region:
-        if properties.region is None:
-            raise SurfaceError(
-                "Region is ticked, but no region box is chosen.",
-                remedy="Choose or add a region box under Surface > Advanced, or untick Region.",
-            )
-        shown = (item for item in [*surfaces_of(scene), *clouds_of(scene)] if not item.hide_viewport)
-        reference = next(shown, None)  # a hidden object does not follow when the user moves things
-        bounds, turn = region.placed(properties.region, reference)
-        # Never in exponents: the worker would take "-1e-05" for an option.
-        if turn.angle > 1e-6:
-            arguments += ["--region-turn", *(f"{value:.9f}" for value in turn)]
-        arguments += ["--region", *(f"{value:.6f}" for value in bounds)]
-    return arguments
 
 
 class _SurfaceOperator(WorkerOperator):
@@ -67,8 +42,8 @@ class _SurfaceOperator(WorkerOperator):
         return places.absolute(context.scene.curecon.result.workspace)
 
     def arguments(self, context: bpy.types.Context) -> list[str]:
-        folder = str(self.workspace(context))
-        return ["surface", folder, "--until", self.until, *surface_arguments(context.scene)]
+        folder = places.absolute(context.scene.curecon.result.workspace)
+        return arguments(surface_options(context.scene, folder, until=self.until), SURFACE)
 
     def done(self, context: bpy.types.Context, scene: bpy.types.Scene, summary: dict[str, Any]) -> Steps:
         result = scene.curecon.result

@@ -16,9 +16,10 @@ from bpy.props import StringProperty
 
 from .. import thumbnails
 from ..core.base.errors import PhotoError
-from ..preferences import settings
+from ..core.base.options import CHECK, arguments
 from ..scene import pictures
 from . import places, running
+from .job_options import job_options
 from .running import WorkerOperator
 
 
@@ -37,13 +38,7 @@ class CURECON_OT_check_photos(WorkerOperator, bpy.types.Operator):
 
     def arguments(self, context: bpy.types.Context) -> list[str]:
         thumbnails.clear()
-        chosen = settings(context)
-        arguments = [
-            "check", str(places.photos_folder(context.scene)), "--thumbnails", str(thumbnails.folder()),
-            "--workspace", str(places.workspace_folder(context, context.scene)), "--device", chosen.device,
-            "--speeds", str(places.speeds_file()),
-        ]
-        return [*arguments, "--memory", str(chosen.memory_gib)] if chosen.memory_gib is not None else arguments
+        return [*arguments(job_options(context, until="photos"), CHECK), "--thumbnails", str(thumbnails.folder())]
 
     def done(self, context: bpy.types.Context, scene: bpy.types.Scene, summary: dict[str, Any]) -> str:
         check = scene.curecon.check

@@ -15,35 +15,11 @@ import bpy
 from bpy.props import BoolProperty, StringProperty
 
 from ..core.base.errors import SparseError
-from ..core.base.options import SURFACE_STAGES
-from ..preferences import settings
+from ..core.base.options import RUN, arguments
 from . import places, running
-from .build_surface import surface_arguments
 from .import_workspace import bring_in
+from .job_options import job_options
 from .running import Steps, WorkerOperator
-
-
-def job_arguments(context: bpy.types.Context, *, until: str) -> list[str]:
-    """The worker's command line for the scene's photos, workspace and options, to the stage `until`. Raises
-    PhotoError."""
-    properties, chosen = context.scene.curecon, settings(context)
-    arguments = [
-        "reconstruct", str(places.photos_folder(context.scene)),
-        "--workspace", str(places.workspace_folder(context, context.scene)),
-        "--quality", properties.quality, "--device", chosen.device,
-    ]
-    if properties.model:
-        arguments += ["--model", str(places.absolute(properties.model))]
-    if properties.max_image_size:
-        arguments += ["--max-image-size", str(properties.max_image_size)]
-    if properties.views:
-        arguments += ["--views", str(properties.views)]
-    if chosen.memory_gib is not None:
-        arguments += ["--memory", str(chosen.memory_gib)]
-    if chosen.scheduler:
-        arguments += ["--scheduler", chosen.scheduler]
-    arguments += ["--speeds", str(places.speeds_file()), "--until", until]
-    return [*arguments, *surface_arguments(context.scene)] if until in SURFACE_STAGES else arguments
 
 
 class CURECON_OT_reconstruct(WorkerOperator, bpy.types.Operator):
@@ -65,7 +41,7 @@ A cancelled or broken run goes on where it stopped"""
         return places.workspace_folder(context, context.scene)
 
     def arguments(self, context: bpy.types.Context) -> list[str]:
-        return job_arguments(context, until=context.scene.curecon.goal)
+        return arguments(job_options(context, until=context.scene.curecon.goal), RUN)
 
     def done(self, context: bpy.types.Context, scene: bpy.types.Scene, summary: dict[str, Any]) -> Steps:
         return bring_in(context, scene, places.workspace_folder(context, scene), photos=summary["photos"])
@@ -121,7 +97,7 @@ class CURECON_OT_import_model(WorkerOperator, bpy.types.Operator):
         if self.photos:
             properties.photos = self.photos
         properties.model = str(folder)
-        return job_arguments(context, until="views")
+        return arguments(job_options(context, until="views"), RUN)
 
     def done(self, context: bpy.types.Context, scene: bpy.types.Scene, summary: dict[str, Any]) -> Steps:
         return bring_in(context, scene, places.workspace_folder(context, scene), photos=summary["photos"])

@@ -162,10 +162,43 @@ def _equip(item: bpy.types.Object) -> bpy.types.Modifier:
     return modifier
 
 
+class _Tree:
+    """A tree of Geometry Nodes that is being built, and what it is built of."""
+
+    def __init__(self, name: str) -> None:
+        self.tree = bpy.data.node_groups.new(name, "GeometryNodeTree")
+
+    def node(self, kind: str, inputs: dict[int | str, object], **settings: object) -> bpy.types.Node:
+        """A node whose inputs are values, or links from other nodes' outputs."""
+        made = self.tree.nodes.new(kind)
+        for name, value in settings.items():
+            setattr(made, name, value)
+        for socket, value in inputs.items():
+            if isinstance(value, bpy.types.NodeSocket):
+                self.tree.links.new(value, made.inputs[socket])
+            else:
+                made.inputs[socket].default_value = value
+        return made
+
+    def attribute(self, name: str, kind: str) -> bpy.types.NodeSocket:
+        return self.node("GeometryNodeInputNamedAttribute", {"Name": name}, data_type=kind).outputs["Attribute"]
+
+    def either(self, *conditions: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
+        result, *others = conditions
+        for other in others:
+            result = self.node("FunctionNodeBooleanMath", {0: result, 1: other}, operation="OR").outputs[0]
+        return result
+
+    def compare(
+        self, first: bpy.types.NodeSocket, second: bpy.types.NodeSocket, how: str = "LESS_THAN"
+    ) -> bpy.types.NodeSocket:
+        return self.node("FunctionNodeCompare", {0: first, 1: second}, data_type="FLOAT", operation=how).outputs[0]
+
+
 def _build_nodes() -> bpy.types.NodeTree:
     """Points that pass all thresholds keep on; their radius is multiplied by the point size."""
-    tree = bpy.data.node_groups.new(MODIFIER, "GeometryNodeTree")
-    sockets = tree.interface
+    made = _Tree(MODIFIER)
+    sockets, node = made.tree.interface, made.node
     sockets.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
     sockets.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
     for name, kind, default in (("Share", "Float", 1.0), ("Point Size", "Float", 1.0), ("Min Confidence", "Float", 0.0),
@@ -173,68 +206,52 @@ def _build_nodes() -> bpy.types.NodeTree:
         sockets.new_socket(name, in_out="INPUT", socket_type=f"NodeSocket{kind}").default_value = default
     sockets.new_socket("Region", in_out="INPUT", socket_type="NodeSocketObject")
     sockets.new_socket("Material", in_out="INPUT", socket_type="NodeSocketMaterial")
-    given = tree.nodes.new("NodeGroupInput")
-
-    def node(kind: str, inputs: dict[int | str, object], **settings: object) -> bpy.types.Node:
-        made = tree.nodes.new(kind)
-        for name, value in settings.items():
-            setattr(made, name, value)
-        for socket, value in inputs.items():
-            if isinstance(value, bpy.types.NodeSocket):
-                tree.links.new(value, made.inputs[socket])
-            else:
-                made.inputs[socket].default_value = value
-        return made
-
-    def attribute(name: str, kind: str) -> bpy.types.NodeSocket:
-        return node("GeometryNodeInputNamedAttribute", {"Name": name}, data_type=kind).outputs["Attribute"]
-
-    def either(first: bpy.types.NodeSocket, second: bpy.types.NodeSocket, how: str = "OR") -> bpy.types.NodeSocket:
-        return node("FunctionNodeBooleanMath", {0: first, 1: second}, operation=how).outputs[0]
-
-    def compare(
-        first: bpy.types.NodeSocket, second: bpy.types.NodeSocket, how: str = "LESS_THAN"
-    ) -> bpy.types.NodeSocket:
-        return node("FunctionNodeCompare", {0: first, 1: second}, data_type="FLOAT", operation=how).outputs[0]
-
-    dropped = either(compare(attribute("confidence", "FLOAT"), given.outputs["Min Confidence"]),
-                     compare(attribute("views", "INT"), given.outputs["Min Views"]))
-    dropped = either(dropped, attribute(REMOVED, "BOOLEAN"))
-    # A prefix is a fair sample; renders show all of it.
-    size = node("GeometryNodeAttributeDomainSize", {"Geometry": given.outputs["Geometry"]}, component="POINTCLOUD")
-    share = node("GeometryNodeSwitch", {
-        "Switch": node("GeometryNodeIsViewport", {}).outputs[0], "False": 1.0, "True": given.outputs["Share"],
-    }, input_type="FLOAT").outputs[0]
-    last = node("ShaderNodeMath", {0: size.outputs["Point Count"], 1: share}, operation="MULTIPLY").outputs[0]
-    dropped = either(dropped, compare(node("GeometryNodeInputIndex", {}).outputs[0], last, "GREATER_EQUAL"))
-    # In the box's own axes, so that a turned box cuts as it stands.
-    here = node("GeometryNodeObjectInfo", {"Object": given.outputs["Region"]}, transform_space="RELATIVE")
-    own = node("GeometryNodeObjectInfo", {"Object": given.outputs["Region"]}, transform_space="ORIGINAL")
-    bounds = node("GeometryNodeBoundBox", {"Geometry": own.outputs["Geometry"]})
-    back = node("FunctionNodeInvertMatrix", {"Matrix": here.outputs["Transform"]})
-    place = node("FunctionNodeTransformPoint", {
-        "Vector": node("GeometryNodeInputPosition", {}).outputs[0], "Transform": back.outputs["Matrix"],
-    }).outputs[0]
-    place, low, high = (node("ShaderNodeSeparateXYZ", {0: vector}).outputs
-                        for vector in (place, bounds.outputs["Min"], bounds.outputs["Max"]))
-    outside = either(compare(place[0], low[0]), compare(high[0], place[0]))
-    for axis in (1, 2):
-        outside = either(outside, either(compare(place[axis], low[axis]), compare(high[axis], place[axis])))
-    # A switch, since what it does not need is not worked out for each point.
-    outside = node("GeometryNodeSwitch", {"Switch": given.outputs["Only Region"], "False": False, "True": outside},
-                   input_type="BOOLEAN").outputs[0]
-    dropped = either(dropped, outside)
-
-    kept = node("GeometryNodeDeleteGeometry", {"Geometry": given.outputs["Geometry"], "Selection": dropped})
-    radius = node("ShaderNodeMath", {0: attribute("radius", "FLOAT"), 1: given.outputs["Point Size"]},
+    given = made.tree.nodes.new("NodeGroupInput").outputs
+    dropped = made.either(
+        made.compare(made.attribute("confidence", "FLOAT"), given["Min Confidence"]),
+        made.compare(made.attribute("views", "INT"), given["Min Views"]),
+        made.attribute(REMOVED, "BOOLEAN"), _beyond_share(made, given), _outside_region(made, given),
+    )
+    kept = node("GeometryNodeDeleteGeometry", {"Geometry": given["Geometry"], "Selection": dropped})
+    radius = node("ShaderNodeMath", {0: made.attribute("radius", "FLOAT"), 1: given["Point Size"]},
                   operation="MULTIPLY").outputs[0]
     sized = node("GeometryNodeSetPointRadius", {"Points": kept.outputs[0], "Radius": radius})
     # Deleting points loses a point cloud's materials.
-    painted = node("GeometryNodeSetMaterial", {"Geometry": sized.outputs[0], "Material": given.outputs["Material"]})
+    painted = node("GeometryNodeSetMaterial", {"Geometry": sized.outputs[0], "Material": given["Material"]})
     node("NodeGroupOutput", {0: painted.outputs[0]})
-    for index, made in enumerate(tree.nodes):  # a readable grid for who opens it
-        made.location = (index // 6 * 220, -(index % 6) * 190)
-    return tree
+    for index, item in enumerate(made.tree.nodes):  # a readable grid for who opens it
+        item.location = (index // 6 * 220, -(index % 6) * 190)
+    return made.tree
+
+
+def _beyond_share(made: _Tree, given: bpy.types.NodeOutputs) -> bpy.types.NodeSocket:
+    """Whether a viewport that shows a share of the cloud leaves the point out: a prefix is a fair sample. Renders show
+    all."""
+    size = made.node("GeometryNodeAttributeDomainSize", {"Geometry": given["Geometry"]}, component="POINTCLOUD")
+    share = made.node("GeometryNodeSwitch", {
+        "Switch": made.node("GeometryNodeIsViewport", {}).outputs[0], "False": 1.0, "True": given["Share"],
+    }, input_type="FLOAT").outputs[0]
+    last = made.node("ShaderNodeMath", {0: size.outputs["Point Count"], 1: share}, operation="MULTIPLY").outputs[0]
+    return made.compare(made.node("GeometryNodeInputIndex", {}).outputs[0], last, "GREATER_EQUAL")
+
+
+def _outside_region(made: _Tree, given: bpy.types.NodeOutputs) -> bpy.types.NodeSocket:
+    """Whether the point lies outside of the region box and only what is inside is shown. In the box's own axes, so that
+    a turned box cuts as it stands."""
+    here = made.node("GeometryNodeObjectInfo", {"Object": given["Region"]}, transform_space="RELATIVE")
+    own = made.node("GeometryNodeObjectInfo", {"Object": given["Region"]}, transform_space="ORIGINAL")
+    bounds = made.node("GeometryNodeBoundBox", {"Geometry": own.outputs["Geometry"]})
+    back = made.node("FunctionNodeInvertMatrix", {"Matrix": here.outputs["Transform"]})
+    place = made.node("FunctionNodeTransformPoint", {
+        "Vector": made.node("GeometryNodeInputPosition", {}).outputs[0], "Transform": back.outputs["Matrix"],
+    }).outputs[0]
+    place, low, high = (made.node("ShaderNodeSeparateXYZ", {0: vector}).outputs
+                        for vector in (place, bounds.outputs["Min"], bounds.outputs["Max"]))
+    outside = made.either(*(made.compare(*pair) for axis in range(3)
+                            for pair in ((place[axis], low[axis]), (high[axis], place[axis]))))
+    # A switch, since what it does not need is not worked out for each point.
+    return made.node("GeometryNodeSwitch", {"Switch": given["Only Region"], "False": False, "True": outside},
+                     input_type="BOOLEAN").outputs[0]
 
 
 def _material() -> bpy.types.Material:

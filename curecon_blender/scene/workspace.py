@@ -149,6 +149,14 @@ def clouds_of(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     return sorted(found, key=lambda item: -len(item.data.points))
 
 
+def in_workspace(
+    scene: bpy.types.Scene, folder: Path, items: list[bpy.types.Object]
+) -> list[bpy.types.Object]:
+    """Those of the items that a workspace's collection holds."""
+    tops = [top for top in scene.collection.children if top.get(WORKSPACE_KEY) == str(folder.resolve())]
+    return [item for item in items if any(item.name in top.all_objects for top in tops)]
+
+
 def hide(items: list[bpy.types.Object], hidden: bool) -> None:
     """Hide objects from viewports and renders, or show them."""
     for item in items:

@@ -16,9 +16,8 @@ from mathutils import Euler, Matrix
 import curecon_blender
 from curecon_blender.core.cloud.edits import read_edited_cloud, removed_file
 from curecon_blender.core.cloud.ply import CloudWriter
-from curecon_blender.core.run import worker
 from curecon_blender.core.site import adjustment as alignment
-from curecon_blender.operators.build_surface import surface_arguments
+from curecon_blender.operators.job_options import surface_options
 from curecon_blender.scene import display
 from curecon_blender.scene.points import positions
 from curecon_blender.scene.workspace import clouds_of
@@ -94,7 +93,7 @@ def check_region() -> None:
     scene().curecon.cloud.only_region = True
     assert np.array_equal(rows(shown()), rows(everything[within])) and 100 < within.sum() < 300
     # The worker is told of the same box.
-    told = worker._parser().parse_args(["surface", "x", *surface_arguments(scene())])
+    told = surface_options(scene(), SITE, until="mesh")
     along = everything @ alignment.rotation(told.region_turn).T
     counted = ((along >= told.region[:3]) & (along <= told.region[3:])).all(axis=1)
     assert np.array_equal(counted, within)
@@ -102,7 +101,7 @@ def check_region() -> None:
     bpy.ops.curecon.frame_scale(first=(0, 0, 0), second=(10, 0, 0), length=30.0)
     bpy.ops.curecon.frame_turn(turn=77.0)
     assert np.array_equal(rows(shown()), rows(everything[within]))
-    told = worker._parser().parse_args(["surface", "x", *surface_arguments(scene())])
+    told = surface_options(scene(), SITE, until="mesh")
     along = everything @ alignment.rotation(told.region_turn).T
     assert (((along >= told.region[:3]) & (along <= told.region[3:])).all(axis=1) == within).mean() > 0.999
     bpy.ops.curecon.frame_reset()

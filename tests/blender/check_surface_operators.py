@@ -7,6 +7,7 @@ from __future__ import annotations
 import shutil
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -16,12 +17,18 @@ import workspace_scene
 
 import curecon_blender
 from curecon_blender import preferences
-from curecon_blender.core.run import worker
-from curecon_blender.operators.build_surface import surface_arguments
-from curecon_blender.operators.reconstruct import job_arguments
-from curecon_blender.properties import GOALS
+from curecon_blender.core.base.options import RUN, SURFACE, Options, arguments, declared
+from curecon_blender.core.run.command_line import options_of, parser
+from curecon_blender.operators.job_options import job_options, surface_options
+from curecon_blender.panels.preferences import CURECON_AP_preferences
+from curecon_blender.properties import GOALS, CURECON_PG_scene
 
 FOLDER = Path(sys.argv[1])
+
+
+def rounded(options: Options) -> Options:
+    """As the command line gives them: to a nanometre."""
+    return replace(options, region=options.region and tuple(round(value, 9) for value in options.region))
 
 
 def error_of(operator: Callable[..., object], **options: object) -> str:
@@ -57,36 +64,46 @@ try:
     assert bpy.ops.curecon.build_mesh.poll() and bpy.ops.curecon.texture.poll()
 
     # The region is the box's bounds in the site frame, wherever the user has moved the cloud.
-    assert "--region" not in surface_arguments(bpy.context.scene)
+    def asked(until: str = "mesh") -> Options:
+        return surface_options(bpy.context.scene, folder, until=until)
+
+    assert asked().region is None
     assert bpy.ops.curecon.add_region() == {"FINISHED"}
     box = properties.region
-    bounds = np.array(surface_arguments(bpy.context.scene)[-6:], float)
+    bounds = np.array(asked().region)
     assert np.all(bounds[:3] < [1, 1, 0.2]) and np.all(bounds[3:] > [9, 9, 0.8]), bounds
     for name in [item.name for item in bpy.context.scene.objects if item is not box]:
         bpy.data.objects[name].location.x += 100
     box.location, box.scale = (102, 3, -0.00001), (1, 2, 0.5)
     bpy.context.view_layer.update()
-    arguments = surface_arguments(bpy.context.scene)
-    assert np.allclose(np.array(arguments[-6:], float), [1, 1, -0.5, 3, 5, 0.5], atol=1e-4), arguments
-    assert not any("e" in value for value in arguments[-6:])
+    bounds = np.array(asked().region)
+    assert np.allclose(bounds, [1, 1, -0.5, 3, 5, 0.5], atol=1e-4), bounds
+    # Another workspace's frame, which stands elsewhere, is not asked.
+    assert np.allclose(surface_options(bpy.context.scene, empty, until="mesh").region, bounds + [100, 0, 0] * 2)
 
-    # The worker's own parser takes every choice.
+    # The worker takes every choice, and understands just what was asked.
+    def understood(options: Options, command: str) -> Options:
+        return options_of(parser().parse_args(arguments(options, command)))
+
     properties.photos = str(FOLDER)
-    understand = worker._parser().parse_args
     for goal, *_ in GOALS:
-        assert understand(job_arguments(bpy.context, until=goal)).until == goal
-    assert understand(job_arguments(bpy.context, until="fusion")).scheduler == ""
+        wanted = job_options(bpy.context, until=goal)
+        assert wanted.until == goal and understood(wanted, RUN) == rounded(wanted)
+    assert job_options(bpy.context, until="fusion").scheduler == ""
     preferences.Settings.__init__.__kwdefaults__["scheduler"] = "tcp://192.168.1.5:8786"
-    assert understand(job_arguments(bpy.context, until="fusion")).scheduler == "tcp://192.168.1.5:8786"
+    assert understood(job_options(bpy.context, until="fusion"), RUN).scheduler == "tcp://192.168.1.5:8786"
     for quality, faces in (("preview", 250_000), ("standard", 1_000_000)):
         properties.quality = quality
-        told = understand(["surface", str(folder), *surface_arguments(bpy.context.scene)])
-        assert told.max_faces == faces
+        assert understood(asked(), SURFACE).max_faces == faces
     properties.fill_holes, properties.max_faces = False, 5000
     properties.texture_size, properties.texture_format = "8192", "jpeg"
-    told = understand(["surface", str(folder), "--until", "mesh", *surface_arguments(bpy.context.scene)])
+    told = understood(asked(), SURFACE)
     assert (told.fill_holes, told.max_faces, told.texture_size, told.texture_format) == (False, 5000, 8192, "jpeg")
-    assert len(told.region) == 6 and told.workspace == folder
+    assert told == rounded(asked())
+    for kind in (CURECON_PG_scene, CURECON_AP_preferences):  # what can be chosen is what the worker knows
+        for option, argument in declared(RUN):
+            known = kind.bl_rna.properties.get(option.name)
+            assert known is None or not argument.choices or tuple(known.enum_items.keys()) == argument.choices
     properties.region = None
     assert "no region box is chosen" in error_of(bpy.ops.curecon.build_mesh)
     properties.use_region = False
