@@ -30,7 +30,8 @@ from curecon_blender.core.base.errors import CuReconError
 from curecon_blender.core.base.messages import Reporter
 from curecon_blender.core.base.records import Component, View
 from curecon_blender.core.base.sampling import sample
-from curecon_blender.core.surface.mesh import Mesh, mesh_file, read_mesh, triangle_areas
+from curecon_blender.core.surface.mesh import Mesh, mesh_file, read_mesh
+from curecon_blender.core.surface.triangles import triangle_areas
 from curecon_blender.core.texture.texturing import TextureOptions, texture_mesh
 from curecon_blender.core.texture.visibility import in_camera, project, scan_convert
 from curecon_blender.core.views import record as components

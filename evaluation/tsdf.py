@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""An alternative surface to measure core/meshing.py against: depth maps to a truncated signed distance field.
+"""An alternative surface to measure core/surface/ against: depth maps to a truncated signed distance field.
 
     python -m evaluation.tsdf WORKSPACE OUT.ply [--voxel 0.06] [--component 0]
     python -m evaluation.mesh WORKSPACE SITE --mesh OUT.ply

@@ -15,9 +15,9 @@ from scipy.spatial import cKDTree
 from curecon_blender.core.base.errors import Cancelled
 from curecon_blender.core.base.messages import Progress, Reporter
 from curecon_blender.core.cloud.ply import Cloud
-from curecon_blender.core.surface import meshing
-from curecon_blender.core.surface.mesh import Mesh
-from curecon_blender.core.surface.meshing import MeshError, MeshOptions, build_mesh
+from curecon_blender.core.surface import build as surface
+from curecon_blender.core.surface.build import MeshOptions, build_mesh
+from curecon_blender.core.surface.mesh import Mesh, MeshError
 from evaluation.mesh import sample
 
 SPACING = 0.03  # metres
@@ -156,7 +156,7 @@ def test_max_faces_holds_and_the_surface_stays(tmp_path: Path) -> None:
 
 
 def test_a_cloud_of_too_many_points_is_thinned_evenly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(meshing, "POINTS_A_FACE", 0.01)
+    monkeypatch.setattr(surface, "POINTS_A_FACE", 0.01)
     told: list[str] = []
     mesh = build(HOUSE, tmp_path, Reporter(lambda message: told.append(getattr(message, "text", ""))))
     check_sound(mesh)

@@ -18,6 +18,7 @@ import numpy as np
 
 from ..core.base.errors import WorkspaceError
 from ..core.surface.mesh import Mesh
+from ..core.surface.triangles import face_normals, mesh_edges
 from .points import COLOUR, SUBJECT_SAMPLE, fill, linear, linear_colours, positions
 
 SURFACE_KEY = "curecon_surface"  # marks the mesh data that came from a workspace
@@ -52,7 +53,7 @@ class SurfaceArrays:
     """A surface as its object stores it.
 
     `mesh` has no face that names a vertex twice, which would crash Blender later; `edges` (E,2) int32 are its edges'
-    vertices and `corner_edges` (3M,) int32 the edge from each corner to the next; `colours` (N,4) float32 linear;
+    vertices and `corner_edges` (M,3) int32 the edge from each corner to the next; `colours` (N,4) float32 linear;
     `tinted` (3M,4), the same for each corner with the filled faces tinted, where there is no texture; `mean` (3,) the
     mean colour; `material` (M,) int32; `pages` the textures' files.
     """
@@ -75,7 +76,7 @@ def arrays(mesh: Mesh, pages: list[Path]) -> SurfaceArrays:
         mesh = replace(mesh, faces=faces[whole], filled=mesh.filled[whole],
                        uv=None if mesh.uv is None else mesh.uv[whole],
                        page=None if mesh.page is None else mesh.page[whole])
-    edges, corner_edges = _edges(mesh.faces, len(mesh.vertices))
+    edges, corner_edges = mesh_edges(mesh.faces)  # Blender would take some hundred milliseconds for it
     colours, tinted = linear_colours(mesh.colours), None
     if mesh.uv is None:
         # Solid shading knows no materials' nodes, only colour attributes: the tint needs one of its own.
@@ -173,8 +174,7 @@ def facing(data: bpy.types.Mesh) -> tuple[np.ndarray, np.ndarray]:
         corners = np.empty(3 * len(data.loop_triangles), np.int32)
         data.loop_triangles.foreach_get("vertices", corners)
     triangles = corners.reshape(-1, 3)
-    first, second, third = positions(data)[triangles[:: max(1, len(triangles) // SUBJECT_SAMPLE)].T]
-    across = np.cross(second - first, third - first)
+    across = face_normals(positions(data), triangles[:: max(1, len(triangles) // SUBJECT_SAMPLE)])
     lengths = np.linalg.norm(across, axis=1)
     return across / np.maximum(lengths, 1e-12)[:, None], lengths / 2
 
@@ -227,21 +227,6 @@ def page_images(item: bpy.types.Object) -> dict[str, bpy.types.Image]:
         if node is not None and node.type == "TEX_IMAGE" and node.image is not None:
             found[material.name] = node.image
     return found
-
-
-def _edges(faces: np.ndarray, vertices: int) -> tuple[np.ndarray, np.ndarray]:
-    """The edges (E,2) int32 of triangles (M,3) over so many vertices, and the edge (3M,) int32 from each corner to the
-    next. Blender would find them itself, in a step of its own of some hundred milliseconds."""
-    following = np.roll(faces, -1, axis=1)
-    keys = (np.minimum(faces, following).astype(np.int64) * vertices + np.maximum(faces, following)).ravel()
-    order = np.argsort(keys)
-    ordered = keys[order]
-    first = np.ones(len(keys), bool)
-    np.not_equal(ordered[1:], ordered[:-1], out=first[1:])
-    corner_edges = np.empty(len(keys), np.int32)
-    corner_edges[order] = np.cumsum(first, dtype=np.int32) - 1
-    edges = ordered[first]
-    return np.stack([edges // vertices, edges % vertices], axis=1).astype(np.int32), corner_edges
 
 
 def _geometry(data: bpy.types.Mesh, content: SurfaceArrays) -> Generator[str, None, None]:

@@ -28,7 +28,7 @@ from ..base.reading import Within, build, read_json
 from ..base.records import Photo
 from ..depth import estimate as depth
 from ..sparse import matching
-from ..surface import meshing
+from ..surface.build import POINTS_A_FACE, MeshOptions
 from .workspace import folder_bytes
 
 GOALS = ("fusion", *SURFACE_STAGES)  # what a job may end with
@@ -191,8 +191,8 @@ def _peak_bytes(photos: tuple[Photo, ...], options: Options) -> dict[str, float]
     per_pixel += options.source_views * depth.BYTES_PER_SOURCE_PIXEL
     tile = max(min(depth.BASE_BYTES + max(pixels) * per_pixel, budget), depth.LEAST_BUDGET)
     features = min(depth.FEATURE_BYTES, budget / 4, sum(pixels) * FEATURE_BYTES_PER_PIXEL)
-    faces = max(options.mesh_faces, meshing.MeshOptions.max_faces)  # fewer take no more of the cloud away
-    meshed = min(sum(pixels), PIXELS_A_POINT * meshing.POINTS_A_FACE * faces)
+    faces = max(options.mesh_faces, MeshOptions.max_faces)  # fewer take no more of the cloud away
+    meshed = min(sum(pixels), PIXELS_A_POINT * POINTS_A_FACE * faces)
     peaks = {
         "photos": readers * full,
         "sparse": max(readers * (full + picture), threads * MATCHING_BYTES * options.preset.max_features**2),

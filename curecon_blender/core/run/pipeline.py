@@ -227,8 +227,8 @@ class _Job:
 
     def mesh(self) -> None:
         from ..cloud.edits import edits_key, read_edited_cloud
-        from ..site.adjustment import rotation, turned_cloud
-        from ..surface.meshing import MeshOptions, build_mesh
+        from ..site.adjustment import rotation
+        from ..surface.build import MeshOptions, build_mesh
 
         options, root = self.options, self.workspace.root
         x0, y0, z0, x1, y1, z1 = options.region or (0.0,) * 6
@@ -241,7 +241,7 @@ class _Job:
             with scratch_folder(root / "mesh") as scratch:
                 # Along the region's own axes, and back.
                 if turn is not None:
-                    cloud = turned_cloud(cloud, turn)
+                    cloud = cloud.rotated(turn)
                 mesh = build_mesh(cloud, settings, scratch, self.reporter)
             if turn is not None:
                 mesh = replace(mesh, vertices=(mesh.vertices @ turn).astype("float32"))

@@ -21,7 +21,6 @@ from ..base.errors import CuReconError, WorkspaceError
 from ..base.files import disk_errors, write_json
 from ..base.reading import FARTHEST, OneOf, Shape, Within, build, parse_json, read_json
 from ..base.records import Frame
-from ..cloud.ply import Cloud
 
 FILE_NAME = "adjustment.json"
 FORMAT = 1
@@ -221,13 +220,6 @@ def rotation(quaternion: tuple[float, ...]) -> np.ndarray:
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ])
-
-
-def turned_cloud(cloud: Cloud, turn: np.ndarray) -> Cloud:
-    """The cloud in axes to which `turn` (3,3) takes its own."""
-    return replace(
-        cloud, points=(cloud.points @ turn.T).astype(np.float32), normals=(cloud.normals @ turn.T).astype(np.float32)
-    )
 
 
 # ---- the file

@@ -27,6 +27,7 @@ import torch
 
 from ..base.errors import WorkspaceError
 from ..base.files import disk_errors, write_json
+from ..base.graphs import spanning_tree
 from ..base.images import read_rgb, readers
 from ..base.reading import build, read_json
 from ..base.records import Photo
@@ -267,27 +268,12 @@ def near_pairs(positions: np.ndarray, axes: np.ndarray) -> set[Pair]:
     distances = np.stack([np.linalg.norm(positions - position, axis=1) for position in positions])
     np.fill_diagonal(distances, np.inf)
     nearest = np.argsort(distances, axis=1)[:, :neighbours]
-    pairs = {_ordered(i, int(j)) for i in range(count) for j in nearest[i]} | _spanning_tree(distances)
+    pairs = {_ordered(i, int(j)) for i in range(count) for j in nearest[i]}
+    pairs |= {(i, j) for i, j in spanning_tree(distances).tolist()}
     reach = 2 * float(np.median(distances[np.arange(count), nearest[:, -1]]))
     pairs |= {(i, j) for i, j in _window(count, 3) if distances[i, j] < reach}
     widest = np.cos(np.radians(WIDEST_ANGLE))
     return {(i, j) for i, j in pairs if not float(axes[i] @ axes[j]) < widest}  # NaN is not less: unknown stays
-
-
-def _spanning_tree(distances: np.ndarray) -> set[Pair]:
-    """Edges of a minimum spanning tree (Prim) of the complete graph with these (N,N) edge lengths."""
-    joined = np.zeros(len(distances), bool)
-    joined[0] = True
-    shortest, parent = distances[0].copy(), np.zeros(len(distances), int)
-    edges = set()
-    for _ in range(len(distances) - 1):
-        new = int(np.argmin(np.where(joined, np.inf, shortest)))
-        edges.add(_ordered(int(parent[new]), new))
-        joined[new] = True
-        closer = distances[new] < shortest
-        parent[closer] = new
-        shortest = np.minimum(shortest, distances[new])
-    return edges
 
 
 def _ordered(i: int, j: int) -> Pair:

@@ -8,30 +8,31 @@ TextureFile), so that other programs open it as it is.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from ..base import reading
-from ..base.errors import WorkspaceError
-from ..base.files import atomic_write
+from ..base.errors import SurfaceError, WorkspaceError
+from ..base.ply import Field, column, read_ply, row_type, table, write_ply
+from ..base.reading import FARTHEST, is_file_name
+from .triangles import triangle_areas
 
-_VERTEX = np.dtype([
-    ("position", "<f4", 3), ("colour", "u1", 3), ("distance", "<f4"), ("views", "u1"),
+_VERTEX = row_type([
+    ("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1"),
+    ("distance", "<f4"), ("views", "u1"),
 ])
-_FACE = np.dtype([("corners", "u1"), ("vertices", "<i4", 3), ("filled", "u1")])
-_TEXTURED_FACE = np.dtype([*_FACE.descr, ("numbers", "u1"), ("uv", "<f4", (3, 2)), ("page", "<i4")])
-_VERTEX_LINES = (
-    "property float x", "property float y", "property float z", "property uchar red", "property uchar green",
-    "property uchar blue", "property float distance", "property uchar views",
-)
-_FACE_LINES = ("property list uchar int vertex_indices", "property uchar filled")
-_TEXTURED_LINES = ("property list uchar float texcoord", "property int texnumber")
-_PAGE_COMMENT = "comment TextureFile "
-_ELEMENT = re.compile(r"element (?:vertex|face) (\d{1,12})", re.ASCII)
+_FACE_FIELDS: list[Field] = [("vertex_indices", "<i4", 3), ("filled", "u1")]
+_FACE = row_type(_FACE_FIELDS)
+_TEXTURED_FACE = row_type([*_FACE_FIELDS, ("texcoord", "<f4", 6), ("texnumber", "<i4")])
+_LISTS = {"vertex_indices": 3, "texcoord": 6}
+_PAGE = "TextureFile "  # a comment, one a page
+_REMEDY = "Run Build Mesh again."
+
+
+class MeshError(SurfaceError):
+    """No surface can be made of this cloud with these options."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +60,6 @@ class Mesh:
         """The same surface with UVs, page numbers and the pages' files."""
         return replace(self, uv=uv, page=page, pages=pages)
 
-
     @property
     def areas(self) -> np.ndarray:
         """Areas (M,) of the faces in square world units."""
@@ -75,17 +75,6 @@ def filled_share(meshes: Iterable[Mesh]) -> float:
     return filled / max(total, 1e-12)
 
 
-def triangle_areas(corners: np.ndarray) -> np.ndarray:
-    """Areas (M,) of triangles in space (M,3,3) or on a plane (M,3,2)."""
-    ab, ac = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    if corners.shape[2] == 2:
-        twice = np.abs(ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0])
-    else:
-        twice = np.linalg.norm(np.cross(ab, ac), axis=1)
-    areas: np.ndarray = twice / 2
-    return areas
-
-
 def mesh_file(index: int) -> str:
     """A component's mesh, relative to its workspace."""
     return f"mesh_{index}.ply" if index else "mesh.ply"
@@ -98,63 +87,48 @@ def textured_folder(index: int) -> str:
 
 def write_mesh(path: Path, mesh: Mesh) -> None:
     """Write a mesh as PLY; the file appears under its name only when it is whole. Raises WorkspaceError."""
-    vertices = np.zeros(len(mesh.vertices), _VERTEX)
-    vertices["position"], vertices["colour"] = mesh.vertices, mesh.colours
-    vertices["distance"], vertices["views"] = mesh.distance, mesh.views
-    textured = mesh.uv is not None
-    faces = np.zeros(len(mesh.faces), _TEXTURED_FACE if textured else _FACE)
-    faces["corners"], faces["vertices"], faces["filled"] = 3, mesh.faces, mesh.filled
-    if textured:
-        faces["numbers"], faces["uv"], faces["page"] = 6, mesh.uv, mesh.page
-    with atomic_write(path) as file:
-        file.write(_header(mesh).encode("ascii"))
-        file.write(vertices.tobytes())
-        file.write(faces.tobytes())
+    vertices = table(_VERTEX, {
+        "x y z": mesh.vertices, "red green blue": mesh.colours, "distance": mesh.distance, "views": mesh.views,
+    })
+    columns = {"vertex_indices": mesh.faces, "filled": mesh.filled}
+    if mesh.uv is not None and mesh.page is not None:
+        faces = table(_TEXTURED_FACE, {**columns, "texcoord": mesh.uv.reshape(-1, 6), "texnumber": mesh.page})
+    else:
+        faces = table(_FACE, columns)
+    write_ply(path, {"vertex": vertices, "face": faces}, ["CU-Recon", *(_PAGE + page for page in mesh.pages)])
 
 
 def read_mesh(path: Path) -> Mesh:
     """Read a mesh that `write_mesh` wrote. Raises WorkspaceError for a file that is missing, cut short or of another
     kind."""
-    remedy = "Run Build Mesh again."
     try:
-        with open(path, "rb") as file:
-            lines = []
-            while (line := file.readline(200).decode("ascii", "replace").rstrip("\n")) != "end_header":
-                lines.append(line)
-                if not line or len(lines) > 100:
-                    raise WorkspaceError(f"{path} is not a mesh of CU-Recon.", remedy=remedy, path=path)
-            counts = [int(found[1]) for line in lines if (found := _ELEMENT.fullmatch(line))]
-            pages = tuple(line.removeprefix(_PAGE_COMMENT) for line in lines if line.startswith(_PAGE_COMMENT))
-            textured = _TEXTURED_LINES[1] in lines
-            expected = [line for line in lines if line.startswith("property")]
-            if (len(counts) != 2 or not all(map(reading.is_file_name, pages))
-                    or expected != [*_VERTEX_LINES, *_FACE_LINES, *(_TEXTURED_LINES if textured else ())]):
-                raise WorkspaceError(f"{path} is not a mesh of CU-Recon.", remedy=remedy, path=path)
-            face = _TEXTURED_FACE if textured else _FACE
-            if counts[0] * _VERTEX.itemsize + counts[1] * face.itemsize > reading.left_bytes(path, file.tell()):
-                raise WorkspaceError(f"{path} is cut short.", remedy=remedy, path=path)
-            vertices, faces = np.fromfile(file, _VERTEX, counts[0]), np.fromfile(file, face, counts[1])
+        header, rows = read_ply(path, ["vertex", "face"], _LISTS)
+        pages = tuple(line.removeprefix(_PAGE) for line in header.comments if line.startswith(_PAGE))
+        vertices, faces = rows["vertex"], rows["face"]
+        textured = faces.dtype == _TEXTURED_FACE
+        if vertices.dtype != _VERTEX or not (textured or faces.dtype == _FACE) or not all(map(is_file_name, pages)):
+            raise ValueError("it is no mesh of CU-Recon")
+        mesh = Mesh(
+            vertices=column(vertices, "x y z"), faces=faces["vertex_indices"].copy(),
+            colours=column(vertices, "red green blue"), distance=vertices["distance"].copy(),
+            views=vertices["views"].copy(), filled=faces["filled"].astype(bool), pages=pages,
+            uv=faces["texcoord"].reshape(-1, 3, 2).copy() if textured else None,
+            page=faces["texnumber"].copy() if textured else None,
+        )
+        _check(mesh)
     except FileNotFoundError as error:
-        raise WorkspaceError(f"{path} does not exist.", remedy=remedy, path=path) from error
+        raise WorkspaceError(f"{path} does not exist.", remedy=_REMEDY, path=path) from error
     except OSError as error:
-        raise WorkspaceError(f"{path} cannot be read ({error.strerror}).", remedy=remedy, path=path) from error
-    numbers = [vertices["position"], vertices["distance"], *([faces["uv"]] if textured else ())]
-    if not all((np.abs(values) < reading.FARTHEST).all() for values in numbers):
-        raise WorkspaceError(f"{path} is damaged: it holds what is no number.", remedy=remedy, path=path)
-    corners = faces["vertices"]
-    if len(faces) and (corners.min() < 0 or corners.max() >= len(vertices)):
-        raise WorkspaceError(f"{path} is damaged: a face names a vertex that is not there.", remedy=remedy, path=path)
-    return Mesh(
-        vertices=vertices["position"].copy(), faces=faces["vertices"].copy(), colours=vertices["colour"].copy(),
-        distance=vertices["distance"].copy(), views=vertices["views"].copy(), filled=faces["filled"].astype(bool),
-        uv=faces["uv"].copy() if textured else None, page=faces["page"].copy() if textured else None, pages=pages,
-    )
+        raise WorkspaceError(f"{path} cannot be read ({error.strerror}).", remedy=_REMEDY, path=path) from error
+    except ValueError as error:
+        raise WorkspaceError(f"{path} is damaged: {error}.", remedy=_REMEDY, path=path) from error
+    return mesh
 
 
-def _header(mesh: Mesh) -> str:
-    lines = ["ply", "format binary_little_endian 1.0", "comment CU-Recon"]
-    lines += [_PAGE_COMMENT + page for page in mesh.pages]
-    lines += [f"element vertex {len(mesh.vertices)}", *_VERTEX_LINES]
-    lines += [f"element face {len(mesh.faces)}", *_FACE_LINES]
-    lines += _TEXTURED_LINES if mesh.uv is not None else ()
-    return "\n".join([*lines, "end_header"]) + "\n"
+def _check(mesh: Mesh) -> None:
+    """Raises ValueError for what a mesh by `write_mesh` never holds."""
+    numbers = [mesh.vertices, mesh.distance, *([mesh.uv] if mesh.uv is not None else [])]
+    if not all((np.abs(values) < FARTHEST).all() for values in numbers):
+        raise ValueError("it holds what is no number")
+    if mesh.faces.size and (mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices)):
+        raise ValueError("a face names a vertex that is not there")

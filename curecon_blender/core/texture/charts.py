@@ -17,7 +17,7 @@ import numpy as np
 import xatlas
 
 from ..base.records import View
-from ..surface.mesh import triangle_areas
+from ..surface.triangles import triangle_areas
 from .labelling import patches
 from .visibility import in_camera, project, smooth_normals
 

@@ -25,7 +25,8 @@ from ..base.messages import Reporter
 from ..base.reading import Expected, read_arrays
 from ..base.records import Component
 from ..base.sampling import sample
-from ..surface.mesh import Mesh, triangle_areas
+from ..surface.mesh import Mesh
+from ..surface.triangles import triangle_areas
 from .baking import Bake, bake
 from .charts import Layout, lay_out
 from .labelling import Candidates, choose_photos, exposure_gains, face_neighbours

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from ..base.records import View
-from ..surface.mesh import triangle_areas
+from ..surface.triangles import triangle_areas
 
 _BLOCK = 1 << 20  # pixels worked on at once: some tens of bytes each, and a good size for the processor's cache
 _MARGIN = 1 / 800  # of the picture's longest side: a point this near to an occluder's edge counts as hidden

@@ -1,0 +1,144 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The fused cloud to a surface: screened Poisson (Kazhdan and Hoppe 2013), cut back to what the photos measured.
+
+Poisson closes everything: it spans the sky between two roofs as readily as a missing roof tile. So each piece of its
+surface is asked how far the nearest measured point is, against how densely the cloud was measured there:
+
+* near enough is *supported*;
+* a small, flat unsupported piece with supported surface all around it is a hole, closed and marked *filled*;
+* anything else that is unsupported (balloons, skirts beyond the site's edge, bags under eaves) is cut away.
+
+On the sample site 57 % of the area of such flat pieces lies within 20 cm of the truth, of others as small 13 %.
+
+Lengths are in spacings: the local spacing is the side of the square that one point of the cloud has to itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..base.messages import Reporter
+from ..cloud.ply import Cloud
+from .clean import clean, drop_small_parts, orient, worth_keeping
+from .mesh import Mesh, MeshError
+from .poisson import poisson, simplify
+from .support import LEAST_POINTS, Support, median_spacing, remove_outliers, thin, usable_points
+
+# More than that many points for each face that may stay do not show: they are thinned out, or a large site's mesh would
+# need memory without end. (A smaller face target than the usual one gets the usual one's points.)
+POINTS_A_FACE = 4
+_LARGEST_HOLE = 25.0  # median spacings from any measured point to the middle of a hole that is closed
+_REGION_MARGIN = 10.0  # median spacings: what lies just outside the region still shapes the surface within
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshOptions:
+    """How the surface is made.
+
+    `fill_holes`: close small holes and mark them as filled; False leaves them open, so that every face was measured.
+    `max_faces`: simplify to at most so many triangles. `region`: low and high corner of an upright box in the site
+    frame; only surface inside it is made.
+    """
+
+    fill_holes: bool = True
+    max_faces: int = 1_000_000
+    region: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+
+
+def build_mesh(cloud: Cloud, options: MeshOptions, scratch: Path, reporter: Reporter) -> Mesh:
+    """The surface of `cloud` (site frame) as triangles, with colour, support and what is filled; no UVs.
+
+    `scratch` is a folder for Poisson's and the simplification's files, which are deleted again. Progress counts
+    steps. The mesh is finite, without degenerate faces or unused vertices, with at most two faces an edge, and faces
+    look to where the cloud's normals look. Raises MeshError for options or a cloud that give no surface, and
+    WorkspaceError for a full or read-only disk.
+    """
+    _check(options)
+    steps = 5
+    reporter.progress(0, steps)
+    cloud, spacing, local_spacing = _measured(cloud, options, reporter)
+    support = Support(cloud, local_spacing)
+    reporter.progress(1, steps)
+    vertices, faces = poisson(cloud, spacing, scratch, reporter)
+    reporter.progress(2, steps)
+    vertices, faces = _trimmed(vertices, faces, support, spacing, options)
+    reporter.progress(3, steps)
+    if len(faces) > options.max_faces:
+        vertices, faces = _simplified(vertices, faces, spacing, options, scratch, reporter)
+    if not len(faces):
+        raise MeshError(
+            "The cloud's points are too few or too scattered to carry a surface.",
+            remedy="Reconstruct with a higher quality or more photos, or choose a larger region.",
+        )
+    reporter.progress(4, steps)
+    filled = support.unmeasured_faces(vertices, faces)
+    if not options.fill_holes and filled.any():  # faces that bridge a gap from one measured point to another
+        vertices, faces = clean(vertices, faces[~filled], spacing)
+        filled = np.zeros(len(faces), bool)
+    mesh = support.with_attributes(vertices, orient(vertices, faces, support), filled)
+    reporter.progress(5, steps)
+    return mesh
+
+
+def _check(options: MeshOptions) -> None:
+    if options.max_faces < 1:
+        raise MeshError(f"A mesh of {options.max_faces} faces cannot be made.",
+                        remedy="Give a face target of at least 1; 1000000 suits most sites.")
+    if options.region is not None:
+        corners = np.array(options.region, float)
+        if corners.shape != (2, 3) or not np.isfinite(corners).all() or not (corners[0] < corners[1]).all():
+            raise MeshError(f"The region {options.region} is no box.",
+                            remedy="Give its low and its high corner, each x, y, z, the high one larger in all three.")
+
+
+def _measured(cloud: Cloud, options: MeshOptions, reporter: Reporter) -> tuple[Cloud, float, np.ndarray]:
+    """The points that the surface is made of, their median spacing, and the local spacing (n,) of each."""
+    cloud = usable_points(cloud, reporter)
+    if options.region is not None:
+        cloud = _crop(cloud, np.array(options.region), _REGION_MARGIN * median_spacing(cloud.points))
+    cloud = thin(cloud, int(POINTS_A_FACE * max(options.max_faces, MeshOptions.max_faces)), reporter)
+    spacing = median_spacing(cloud.points)
+    cloud, local_spacing = remove_outliers(cloud, spacing)
+    return cloud, spacing, local_spacing
+
+
+def _crop(cloud: Cloud, region: np.ndarray, margin: float) -> Cloud:
+    """The points within `margin` of the region (2,3). Raises MeshError when too few lie in it."""
+    low, high = region
+    inside = ((cloud.points >= low) & (cloud.points <= high)).all(axis=1)
+    if inside.sum() < LEAST_POINTS:
+        raise MeshError(f"Only {inside.sum()} of the cloud's points lie in the region; a surface needs "
+                        f"{LEAST_POINTS}.", remedy="Choose a larger region, or one that lies on the cloud.")
+    return cloud.take(((cloud.points >= low - margin) & (cloud.points <= high + margin)).all(axis=1))
+
+
+def _trimmed(
+    vertices: np.ndarray, faces: np.ndarray, support: Support, spacing: float, options: MeshOptions
+) -> tuple[np.ndarray, np.ndarray]:
+    """The sound part of Poisson's surface that lies in the region and is measured, or closes a hole."""
+    distance, nearest = support.nearest(vertices)
+    supported = distance <= support.radius[nearest]
+    largest_hole = _LARGEST_HOLE * spacing if options.fill_holes else 0.0
+    faces = faces[worth_keeping(vertices, faces, supported, distance, largest_hole)]
+    if options.region is not None:
+        low, high = np.array(options.region)
+        faces = faces[((vertices >= low) & (vertices <= high)).all(axis=1)[faces].all(axis=1)]
+    faces = drop_small_parts(vertices, faces, supported, support.spacing[nearest])
+    return clean(vertices, faces, spacing)
+
+
+def _simplified(
+    vertices: np.ndarray, faces: np.ndarray, spacing: float, options: MeshOptions, scratch: Path, reporter: Reporter
+) -> tuple[np.ndarray, np.ndarray]:
+    vertices, faces = simplify(vertices, faces, options.max_faces, scratch, reporter)
+    if options.region is not None:
+        vertices = np.clip(vertices, *np.array(options.region, np.float32))  # simplification moves vertices
+    vertices, faces = clean(vertices, faces, spacing)
+    if not len(faces):
+        raise MeshError(f"Nothing is left of the surface when it is simplified to {options.max_faces} face(s).",
+                        remedy="Give a larger face target; 1000000 suits most sites.")
+    return vertices, faces

@@ -1,0 +1,127 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Screened Poisson reconstruction and simplification by pycolmap, each in a process of its own."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..base.allocator import release
+from ..base.files import disk_errors
+from ..base.messages import Reporter
+from ..base.ply import column, read_ply, row_type, table, write_ply
+from ..cloud.ply import Cloud, CloudWriter
+from .mesh import MeshError
+
+_DEPTHS = (6, 12)  # of the octree; its memory grows with the points, not with the depth
+_CUBE = 1.1  # Poisson's cube is this much larger than the cloud
+_LEAST_FREE = 1 << 20  # bytes: a disk with less is full
+_VERTEX = row_type([("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
+_FACE = row_type([("vertex_indices", "<i4", 3)])
+# The process goes with the worker, even if that is killed; where the system cannot arrange it, it ends when it is done.
+_CHILD = """
+import ctypes, json, sys
+if sys.platform == "linux":
+    ctypes.CDLL(None).prctl(1, 9)
+import pycolmap
+call, kind, source, target, settings = sys.argv[1:]
+options = getattr(pycolmap, kind)()
+for name, value in json.loads(settings).items():
+    setattr(options, name, value)
+getattr(pycolmap, call)(source, target, options)
+"""
+
+
+def poisson(cloud: Cloud, spacing: float, scratch: Path, reporter: Reporter) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (n,3) float32 and faces (m,3) int32 of the untrimmed Poisson surface, from an octree whose leaves are
+    about `spacing` wide. Raises MeshError, and WorkspaceError for a full disk."""
+    extent = _CUBE * float(np.ptp(cloud.points, axis=0).max())
+    depth = int(np.clip(np.round(np.log2(extent / spacing)), *_DEPTHS))
+    source, target = scratch / "poisson_points.ply", scratch / "poisson_surface.ply"
+    with _exchange(source, target, "No surface could be made of the cloud",
+                   "See that the disk is not full; reconstruct again if the cloud looks wrong."):
+        with CloudWriter(source) as writer:
+            writer.write(cloud)
+        _pycolmap("poisson_meshing", "PoissonMeshingOptions", source, target, reporter, depth=depth, trim=0,
+                  color=False)
+        return _read_triangles(target)
+
+
+def simplify(
+    vertices: np.ndarray, faces: np.ndarray, count: int, scratch: Path, reporter: Reporter
+) -> tuple[np.ndarray, np.ndarray]:
+    """At most `count` faces, by quadric edge collapse. Raises MeshError, and WorkspaceError for a full disk."""
+    source, target = scratch / "fine.ply", scratch / "coarse.ply"
+    with _exchange(source, target, "The surface could not be simplified",
+                   "See that the disk is not full, or give a larger face target."):
+        write_ply(source, {"vertex": table(_VERTEX, {"x y z": vertices}),
+                           "face": table(_FACE, {"vertex_indices": faces})})
+        _pycolmap("simplify_mesh", "MeshSimplificationOptions", source, target, reporter,
+                  target_face_ratio=count / len(faces), interpolate_colors=False)
+        return _read_triangles(target)
+
+
+@contextmanager
+def _exchange(source: Path, target: Path, failure: str, remedy: str) -> Iterator[None]:
+    """For a block that writes `source` and has pycolmap make `target` of it: both are deleted in the end. Raises
+    MeshError for what goes wrong, and WorkspaceError for a full disk."""
+    folder = source.parent
+    try:
+        with disk_errors(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+            try:
+                yield
+            except (FileNotFoundError, RuntimeError, ValueError) as error:
+                # A native library that meets a full disk may say nothing and leave half a file.
+                if shutil.disk_usage(folder).free < _LEAST_FREE:
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)) from error
+                raise
+    except (FileNotFoundError, RuntimeError, ValueError) as error:
+        raise MeshError(f"{failure}: {error}", remedy=remedy, path=source) from error
+    finally:
+        source.unlink(missing_ok=True)
+        target.unlink(missing_ok=True)
+
+
+def _pycolmap(call: str, kind: str, source: Path, target: Path, reporter: Reporter, **settings: Any) -> None:
+    """`pycolmap.call(source, target, kind(**settings))` in a process of its own: it holds Python's lock for as long as
+    it works, and nobody could cancel. Raises RuntimeError with its last words when it fails."""
+    arguments = [call, kind, str(source), str(target), json.dumps(settings)]
+    words = source.with_suffix(".log")
+    release()  # that process will need it
+    # Threads that wait must not spin: beside other work they would take the cores from those that have something to do.
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "OMP_WAIT_POLICY": "passive"}
+    try:
+        with words.open("wb") as log, subprocess.Popen(
+            [sys.executable, "-c", _CHILD, *arguments], stdin=subprocess.DEVNULL, stdout=log, stderr=log,
+            env=environment,
+        ) as process:
+            try:
+                while process.poll() is None:
+                    reporter.check_cancelled()
+                    time.sleep(0.05)
+            finally:
+                process.kill()
+        if process.returncode:
+            said = words.read_text("utf-8", "replace").strip().splitlines()
+            raise RuntimeError(said[-1] if said else f"it ended with {process.returncode}")
+    finally:
+        words.unlink(missing_ok=True)
+
+
+def _read_triangles(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (n,3) float32 and faces (m,3) int32 of a PLY by pycolmap. Raises ValueError where it is cut short."""
+    rows = read_ply(path, ["vertex", "face"], {"vertex_indices": 3})[1]
+    return column(rows["vertex"], "x y z").astype(np.float32), rows["face"]["vertex_indices"].copy()
