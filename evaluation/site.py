@@ -105,7 +105,7 @@ def _camera_errors(
 
 def _on_the_globe(points: np.ndarray, origin: GeoPosition, site: Path) -> np.ndarray:
     """Points (n,3) of a frame with this origin, in the frame of the truth."""
-    from curecon_blender.core.sparse.placement import enu_to_geodetic, geodetic_to_enu
+    from curecon_blender.core.base.geodesy import enu_to_geodetic, geodetic_to_enu
 
     true_origin = GeoPosition(**json.loads((site / "truth" / "origin.json").read_text()))
     return geodetic_to_enu(enu_to_geodetic(points, origin), true_origin)

@@ -7,6 +7,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -29,6 +30,14 @@ def site(count: int, width: int, height: int, *, gps: bool = True) -> tuple[Phot
     )
 
 
+def reference_seconds(photos: tuple[Photo, ...], options: Options) -> dict[str, float]:
+    return cost.reference_seconds(photos, cost.count_pairs(photos), options)
+
+
+def predict(photos: tuple[Photo, ...], options: Options) -> dict[str, Any]:
+    return cost.predict(photos, cost.count_pairs(photos), options, REFERENCE)
+
+
 # photos, width, height, GPS, quality, measured seconds of sparse, depth and fusion, and peak GiB
 MEASURED = [
     (33, 1200, 900, True, "standard", 176, 334, 23, 2.95),
@@ -44,14 +53,14 @@ def test_known_runs_are_predicted(
     count: int, width: int, height: int, gps: bool, quality: str, sparse: float, depth: float, fusion: float,
     peak: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(cost.matching, "threads", lambda: 2)  # the reference's
+    monkeypatch.setattr(cost, "threads", lambda: 2)  # the reference's
     options = Options(photos=None, workspace=tmp_path, quality=quality, memory_gib=10.0)
     photos = site(count, width, height, gps=gps)
-    seconds = cost.reference_seconds(photos, options)
+    seconds = reference_seconds(photos, options)
     assert seconds["sparse"] == pytest.approx(sparse, rel=0.4)
     assert seconds["depth"] == pytest.approx(depth, rel=0.55)
     assert seconds["fusion"] == pytest.approx(fusion, rel=0.3)
-    predicted = cost.predict(photos, options, REFERENCE)
+    predicted = predict(photos, options)
     assert predicted["seconds"] == pytest.approx(sparse + depth + fusion, rel=0.35)
     assert predicted["memory_gib"] == pytest.approx(peak, rel=0.3)
 
@@ -66,16 +75,31 @@ def test_better_costs_more_and_so_does_going_further(tmp_path: Path) -> None:
     assert [goal["seconds"] for goal in goals] == sorted(goal["seconds"] for goal in goals)
 
 
+def test_the_pairs_of_photos_are_counted_once_for_all_qualities_and_goals(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    photos, options = site(70, 1600, 1200), Options(photos=None, workspace=tmp_path, memory_gib=4.0)
+    one_by_one = {
+        quality: {goal: predict(photos, replace(options, quality=quality, until=goal)) for goal in cost.GOALS}
+        for quality in PRESETS
+    }
+    counted = []
+    metadata_pairs = cost.metadata_pairs
+    monkeypatch.setattr(cost, "metadata_pairs", lambda photos: counted.append(photos) or metadata_pairs(photos))
+    assert cost.predict_all(photos, options, REFERENCE) == one_by_one
+    assert counted == [photos]
+
+
 def test_predictions_come_true_after_the_first_job(tmp_path: Path) -> None:
     speeds = tmp_path / "user" / "speeds.json"
     options = Options(photos=None, workspace=tmp_path, speeds=speeds, device="cpu")
     photos = site(20, 1600, 1200)
-    took = {stage: 3.7 * seconds for stage, seconds in cost.reference_seconds(photos, options).items()}
+    took = {stage: 3.7 * seconds for stage, seconds in reference_seconds(photos, options).items()}
     for stage in ("sparse", "depth", "fusion"):
         cost.learn(stage, took[stage], photos, options)
     bigger = site(40, 1600, 1200)
     slowness = cost.slowness_here("cpu", speeds)
-    expected = cost.reference_seconds(bigger, options)
+    expected = reference_seconds(bigger, options)
     for stage in ("sparse", "depth", "fusion"):
         assert slowness[stage] * expected[stage] == pytest.approx(3.7 * expected[stage], rel=0.01)
 
@@ -89,7 +113,7 @@ def test_a_first_job_on_a_busy_computer_is_known_to_take_longer(
     monkeypatch.setattr(cost.psutil, "getloadavg", lambda: (12.0, 0.0, 0.0))
     options = Options(photos=None, workspace=tmp_path, speeds=tmp_path / "speeds.json", device="cpu")
     photos = site(20, 1600, 1200)
-    cost.learn("depth", 1.5 * cost.reference_seconds(photos, options)["depth"], photos, options)
+    cost.learn("depth", 1.5 * reference_seconds(photos, options)["depth"], photos, options)
     for user, system, expected in ((0.0, 0.0, 1.0), (40.0, 10.0, 1.5), (90.0, 10.0, 4.0)):
         used = SimpleNamespace(user=user, system=system, nice=50.0)
         monkeypatch.setattr(cost.psutil, "cpu_times_percent", lambda interval, used=used: used)
@@ -116,26 +140,26 @@ def test_one_slow_job_does_not_spoil_the_rest_and_a_damaged_file_is_learned_anew
     photos = site(20, 1600, 1200)
     speeds.write_text("half of a fi")
     for ratio in (2.0, 2.0, 40.0):
-        cost.learn("depth", ratio * cost.reference_seconds(photos, options)["depth"], photos, options)
+        cost.learn("depth", ratio * reference_seconds(photos, options)["depth"], photos, options)
     assert cost.slowness_here("cpu", speeds)["depth"] == pytest.approx(2.0, rel=0.01)
 
 
 def test_the_depth_stage_keeps_to_its_budget(tmp_path: Path) -> None:
     photos = site(20, 8000, 6000)
     options = Options(photos=None, workspace=tmp_path, quality="preview")
-    wide = cost.predict(photos, replace(options, max_image_size=8000, memory_gib=100.0), REFERENCE)
-    tight = cost.predict(photos, replace(options, max_image_size=8000, memory_gib=2.0), REFERENCE)
+    wide = predict(photos, replace(options, max_image_size=8000, memory_gib=100.0))
+    tight = predict(photos, replace(options, max_image_size=8000, memory_gib=2.0))
     assert tight["memory_gib"] < 4 < wide["memory_gib"]
 
 
 def test_a_large_site_needs_no_more_memory_than_its_mesh_of_a_million_faces(tmp_path: Path) -> None:
     options = Options(photos=None, workspace=tmp_path, quality="preview", memory_gib=4.0, until="texture")
-    memory = [cost.predict(site(count, 1600, 1200), options, REFERENCE)["memory_gib"] for count in (30, 240, 2000)]
+    memory = [predict(site(count, 1600, 1200), options)["memory_gib"] for count in (30, 240, 2000)]
     assert memory[0] < 4 < memory[1] == memory[2] < 8
 
 
 def test_many_cores_do_not_read_huge_photos_all_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert [images.readers(megapixels * 1_000_000, 16) for megapixels in (0, 20, 48, 100, 500)] == [16, 16, 11, 5, 1]
-    monkeypatch.setattr(cost.matching, "threads", lambda: 16)
+    monkeypatch.setattr(cost, "threads", lambda: 16)
     options = Options(photos=None, workspace=tmp_path, quality="preview", memory_gib=2.0)
-    assert cost.predict(site(20, 11664, 8750), options, REFERENCE)["memory_gib"] < 8
+    assert predict(site(20, 11664, 8750), options)["memory_gib"] < 8

@@ -12,8 +12,11 @@ import pycolmap
 import pytest
 
 from curecon_blender.core.base.errors import WorkspaceError
+from curecon_blender.core.base.geodesy import enu_to_geodetic, geodetic_to_enu
 from curecon_blender.core.base.records import Frame, GeoPosition, Gimbal, Photo
-from curecon_blender.core.sparse import placement as georeference
+from curecon_blender.core.base.rotations import from_gimbal
+from curecon_blender.core.sparse import record
+from curecon_blender.core.sparse.placement import Placement, place
 
 SITE = GeoPosition(latitude=24.6612, longitude=117.0523, altitude=423.0)  # the Tulou of Fujian
 UNKNOWN = pycolmap.Sim3d(0.07, pycolmap.Rotation3d(np.array([0.3, -0.5, 0.2, 0.8])), np.array([3.0, -2.0, 5.0]))
@@ -58,7 +61,7 @@ def make_model(centres: np.ndarray, rotations: list[np.ndarray]) -> pycolmap.Rec
 
 def make_photos(centres: np.ndarray, *, gps: bool = True, noise: float = 0.5) -> dict[str, Photo]:
     jitter = np.random.default_rng(1).normal(0, noise, centres.shape)
-    positions = georeference.enu_to_geodetic(centres + jitter, SITE)
+    positions = enu_to_geodetic(centres + jitter, SITE)
     names = [f"{i:02d}.jpg" for i in range(1, len(centres) + 1)]
     return {
         name: Photo(
@@ -69,7 +72,7 @@ def make_photos(centres: np.ndarray, *, gps: bool = True, noise: float = 0.5) ->
     }
 
 
-def placed_centres(model: pycolmap.Reconstruction, placement: georeference.Placement) -> np.ndarray:
+def placed_centres(model: pycolmap.Reconstruction, placement: Placement) -> np.ndarray:
     model.transform(placement.site_from_model)
     return np.array([model.image(i).projection_center() for i in sorted(model.reg_image_ids())])
 
@@ -84,19 +87,6 @@ def height_of_the_ground(model: pycolmap.Reconstruction) -> float:
     return float(np.median([model.point3D(i).xyz[2] for i in sorted(model.point3D_ids())[:GROUND]]))
 
 
-def test_geodesy_agrees_with_an_independent_implementation_and_inverts() -> None:
-    places = np.array([[24.67, 117.06, 500.0], [24.6612, 117.0523, 423.0], [-33.9, 18.4, 20.0], [89.999, 10.0, 5.0]])
-    enu = georeference.geodetic_to_enu(places, SITE)
-    theirs = pycolmap.GPSTransform(pycolmap.GPSTransformEllipsoid.WGS84).ellipsoid_to_enu(
-        places, SITE.latitude, SITE.longitude, SITE.altitude
-    )
-    assert enu[1] == pytest.approx(np.zeros(3), abs=1e-6)
-    assert enu[:2] == pytest.approx(theirs[:2], abs=1e-4)
-    back = georeference.enu_to_geodetic(enu, SITE)
-    assert back[:, :2] == pytest.approx(places[:, :2], abs=1e-9)
-    assert back[:, 2] == pytest.approx(places[:, 2], abs=1e-4)
-
-
 def test_gps_gives_metres_up_and_north_in_spite_of_an_outlier() -> None:
     centres, rotations = orbit()
     photos = make_photos(centres, noise=0.5)
@@ -104,13 +94,13 @@ def test_gps_gives_metres_up_and_north_in_spite_of_an_outlier() -> None:
     assert stray is not None
     photos["03.jpg"] = replace(photos["03.jpg"], gps=replace(stray, latitude=stray.latitude + 0.002))
     model = make_model(centres, rotations)
-    placement = georeference.place(model, photos)
+    placement = place(model, photos)
     frame = placement.frame
     assert (frame.scale, frame.up, frame.north) == ("metres", "gps", True)
     assert frame.gps_residual is not None and frame.gps_residual < 1.5
     assert placement.gps_residuals["03.jpg"] == pytest.approx(222, abs=5)
     assert frame.origin is not None
-    origin = georeference.geodetic_to_enu(
+    origin = geodetic_to_enu(
         np.array([[frame.origin.latitude, frame.origin.longitude, frame.origin.altitude]]), SITE
     )
     assert placed_centres(model, placement) + origin == pytest.approx(centres, abs=1.0)
@@ -123,10 +113,10 @@ def test_gps_gives_metres_up_and_north_in_spite_of_an_outlier() -> None:
 def test_a_straight_flight_takes_its_tilt_from_the_gimbal() -> None:
     centres = np.stack([np.linspace(-60, 60, 9), np.full(9, -30.0), np.full(9, 25.0)], axis=1)
     gimbal = Gimbal(yaw=0.0, pitch=-40.0, roll=0.0)
-    rotations = [georeference.gimbal_rotation(gimbal).T] * 9
+    rotations = [from_gimbal(gimbal).T] * 9
     photos = {name: replace(photo, gimbal=gimbal) for name, photo in make_photos(centres, noise=0.3).items()}
     model = make_model(centres, rotations)
-    placement = georeference.place(model, photos)
+    placement = place(model, photos)
     assert (placement.frame.scale, placement.frame.up) == ("metres", "gravity")
     assert "straight line" in placement.frame.note and "gimbal" in placement.frame.note
     assert np.linalg.norm(np.diff(placed_centres(model, placement)[[0, -1]], axis=0)) == pytest.approx(120, abs=2)
@@ -144,7 +134,7 @@ def test_without_usable_gps_the_scale_is_said_to_be_unknown_and_z_is_up(
     for name in list(photos)[with_gps:]:
         photos[name] = replace(photos[name], gps=None)
     model = make_model(centres, rotations)
-    placement = georeference.place(model, photos)
+    placement = place(model, photos)
     assert (placement.frame.scale, placement.frame.up, placement.frame.north) == ("unknown", "gravity", False)
     assert reason in placement.frame.note and "unknown" in placement.frame.note
     model.transform(placement.site_from_model)
@@ -155,7 +145,7 @@ def test_without_usable_gps_the_scale_is_said_to_be_unknown_and_z_is_up(
 def test_gps_of_another_place_is_not_used() -> None:
     centres, rotations = orbit()
     shuffled = np.random.default_rng(5).permutation(centres)
-    placement = georeference.place(make_model(centres, rotations), make_photos(shuffled))
+    placement = place(make_model(centres, rotations), make_photos(shuffled))
     assert placement.frame.scale == "unknown"
     assert "does not agree" in placement.frame.note
 
@@ -164,7 +154,7 @@ def test_a_walk_with_rough_gps_takes_its_tilt_from_the_level_cameras() -> None:
     centres = np.stack([np.random.default_rng(1).normal(0, 0.3, 20), np.linspace(0, 60, 20), np.full(20, 1.7)], axis=1)
     rotations = [looking_at(centre, centre + [0, 10.0, 0]) for centre in centres]
     model = make_model(centres, rotations)
-    placement = georeference.place(model, make_photos(centres, noise=5.0))
+    placement = place(model, make_photos(centres, noise=5.0))
     assert (placement.frame.scale, placement.frame.up) == ("metres", "gravity")
     assert "straight line" in placement.frame.note and "level cameras" in placement.frame.note
     model.transform(placement.site_from_model)
@@ -181,16 +171,16 @@ def test_up_without_gps_where_all_cameras_look_one_way(kind: str) -> None:
         centres = np.array([[x, y, 30.0] for x in along for y in along])
         rotations = [np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])] * 25
     model = make_model(centres, rotations)
-    placement = georeference.place(model, make_photos(centres, gps=False))
+    placement = place(model, make_photos(centres, gps=False))
     model.transform(placement.site_from_model)
     assert tilt(model, rotations) < 3.0
 
 
 def test_frame_record_survives_and_a_damaged_one_is_told(tmp_path: Path) -> None:
     frame = Frame(scale="metres", up="gps", north=True, origin=SITE, gps_residual=0.5, note="土楼")
-    georeference.write_frame(tmp_path, frame)
-    assert georeference.read_frame(tmp_path) == frame
-    (tmp_path / georeference.FRAME_FILE).write_text("{", encoding="utf-8")
+    record.write_frame(tmp_path, frame)
+    assert record.read_frame(tmp_path) == frame
+    (tmp_path / record.FILE_NAME).write_text("{", encoding="utf-8")
     with pytest.raises(WorkspaceError, match=r"frame\.json") as caught:
-        georeference.read_frame(tmp_path)
+        record.read_frame(tmp_path)
     assert caught.value.remedy

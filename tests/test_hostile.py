@@ -39,7 +39,7 @@ from curecon_blender.core.photos.record import read_photos, write_photos
 from curecon_blender.core.run.workspace import Workspace
 from curecon_blender.core.site import adjustment as alignment
 from curecon_blender.core.sparse import models as colmap_model
-from curecon_blender.core.sparse import placement as georeference
+from curecon_blender.core.sparse.record import read_frame
 from curecon_blender.core.surface.mesh import read_mesh
 from curecon_blender.core.views import record as components
 from tests.fuzz import runner, targets
@@ -77,7 +77,7 @@ def change(path: Path, *keys: Any, value: Any) -> None:
 
 RECORDS: dict[str, Callable[[Path], object]] = {
     "views.json": components.read,
-    "sparse/0/frame.json": lambda folder: georeference.read_frame(folder / "sparse" / "0"),
+    "sparse/0/frame.json": lambda folder: read_frame(folder / "sparse" / "0"),
     "sparse/0/adjustment.json": lambda folder: alignment.read(folder / "sparse" / "0"),
     "photos.json": read_photos,
     "workspace.json": lambda folder: Workspace(folder).__enter__(),
@@ -143,7 +143,7 @@ def test_an_adjustment_that_is_no_similarity(workspace: Path, key: str, value: A
 def test_a_place_that_is_not_on_earth(workspace: Path, place: Any) -> None:
     path = workspace / "sparse" / "0" / "frame.json"
     change(path, "origin", value=place)
-    refused(WorkspaceError, path, lambda: georeference.read_frame(path.parent))
+    refused(WorkspaceError, path, lambda: read_frame(path.parent))
 
 
 @pytest.mark.parametrize("when", ["0001-01-01T00:00:00", "9999-12-31T23:59:59-23:59", "now", 5])

@@ -228,21 +228,6 @@ def test_a_flight_along_real_cameras_is_even_and_smooth() -> None:
         camera_path.fly_through(np.zeros((3, 3)), rotations[:3], 10)
 
 
-def test_quaternions_are_those_of_the_matrices() -> None:
-    rng = np.random.default_rng(1)
-    expected = rng.normal(size=(200, 4))
-    expected /= np.linalg.norm(expected, axis=1, keepdims=True)
-    expected[0] = [0, 1, 0, 0]
-    w, x, y, z = expected.T
-    matrices = np.stack([
-        np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], axis=1),
-        np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], axis=1),
-        np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1),
-    ], axis=1)
-    found = camera_path.quaternions(matrices)
-    np.testing.assert_allclose(np.abs(np.sum(found * expected, axis=1)), 1, atol=1e-9)
-
-
 def test_cameras_move_and_photos_lie_over_the_scene(blender: Path, tmp_path: Path) -> None:  # noqa: F811
     run_script(blender, "check_present_cameras.py", tmp_path, resources=tmp_path / "user")
 

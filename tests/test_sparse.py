@@ -15,12 +15,13 @@ import pycolmap
 import pytest
 
 from curecon_blender.core.base.errors import Cancelled, SparseError
+from curecon_blender.core.base.geodesy import enu_to_geodetic, geodetic_to_enu
 from curecon_blender.core.base.messages import Message, Progress, Reporter
 from curecon_blender.core.base.options import Options
 from curecon_blender.core.base.records import Frame, GeoPosition, Photo, PhotoSet
 from curecon_blender.core.sparse import find_cameras as sparse
-from curecon_blender.core.sparse import matching
-from curecon_blender.core.sparse.placement import enu_to_geodetic, geodetic_to_enu, read_frame
+from curecon_blender.core.sparse.features import FeatureSettings, open_database
+from curecon_blender.core.sparse.record import read_frame
 from curecon_blender.core.views.undistortion import undistort
 
 WIDTH, HEIGHT, FOCAL = 480, 360, 420.0
@@ -208,11 +209,11 @@ def test_a_damaged_feature_database_is_started_afresh(site: Site, tmp_path: Path
     path, photos = tmp_path / "features.db", site.scene.photo_set.photos
     shutil.copy(site.workspace / "sparse/features.db", path)
     shutil.copy(site.workspace / "sparse/features.json", tmp_path)
-    settings = matching.FeatureSettings(image_size=1200, max_features=4096)
-    with matching.open_database(path, photos, settings) as database:
+    settings = FeatureSettings(image_size=1200, max_features=4096)
+    with open_database(path, photos, settings) as database:
         assert database.num_images() == len(photos)
     path.write_bytes(path.read_bytes()[:50_000])
-    with matching.open_database(path, photos, settings) as database:
+    with open_database(path, photos, settings) as database:
         assert database.num_images() == 0
 
 

@@ -14,9 +14,9 @@ import workspace_scene
 from mathutils import Euler, Matrix
 
 import curecon_blender
+from curecon_blender.core.base.rotations import from_quaternion
 from curecon_blender.core.cloud.edits import read_edited_cloud, removed_file
 from curecon_blender.core.cloud.ply import CloudWriter
-from curecon_blender.core.site import adjustment as alignment
 from curecon_blender.operators.job_options import surface_options
 from curecon_blender.scene import display
 from curecon_blender.scene.points import positions
@@ -94,7 +94,7 @@ def check_region() -> None:
     assert np.array_equal(rows(shown()), rows(everything[within])) and 100 < within.sum() < 300
     # The worker is told of the same box.
     told = surface_options(scene(), SITE, until="mesh")
-    along = everything @ alignment.rotation(told.region_turn).T
+    along = everything @ from_quaternion(told.region_turn).T
     counted = ((along >= told.region[:3]) & (along <= told.region[3:])).all(axis=1)
     assert np.array_equal(counted, within)
     # The frame tools move box and cloud as one.
@@ -102,7 +102,7 @@ def check_region() -> None:
     bpy.ops.curecon.frame_turn(turn=77.0)
     assert np.array_equal(rows(shown()), rows(everything[within]))
     told = surface_options(scene(), SITE, until="mesh")
-    along = everything @ alignment.rotation(told.region_turn).T
+    along = everything @ from_quaternion(told.region_turn).T
     assert (((along >= told.region[:3]) & (along <= told.region[3:])).all(axis=1) == within).mean() > 0.999
     bpy.ops.curecon.frame_reset()
     scene().curecon.cloud.only_region = False

@@ -268,7 +268,7 @@ def _make_workspace(folder: Path) -> None:
     from curecon_blender.core.photos.record import write_photos
     from curecon_blender.core.run.workspace import StageRecord, Workspace
     from curecon_blender.core.site import adjustment as alignment
-    from curecon_blender.core.sparse import placement as georeference
+    from curecon_blender.core.sparse.record import write_frame
     from curecon_blender.core.views import record as components
 
     place = GeoPosition(latitude=24.6, longitude=117.0, altitude=530.0)
@@ -277,7 +277,7 @@ def _make_workspace(folder: Path) -> None:
     component = Component(index=0, sparse="sparse/0", cloud="cloud.ply", frame=frame, views=views)
     components.write(folder, [component])
     (folder / "sparse" / "0").mkdir(parents=True)
-    georeference.write_frame(folder / "sparse" / "0", frame)
+    write_frame(folder / "sparse" / "0", frame)
     measured = alignment.Measured(kind="scale", value=4.2, how="a measured distance", when="2026-01-01T00:00:00",
                                   points=((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)), sigma=0.1)
     alignment.write(folder / "sparse" / "0", alignment.Adjustment(scale=2.0, measured=(measured,)))
@@ -315,11 +315,12 @@ def _read_views(folder: Path) -> None:
 
 
 def _read_frame(folder: Path) -> None:
-    from curecon_blender.core.sparse import placement as georeference
+    from curecon_blender.core.base.geodesy import enu_to_geodetic
+    from curecon_blender.core.sparse.record import read_frame
 
-    frame = georeference.read_frame(folder / "sparse" / "0")
+    frame = read_frame(folder / "sparse" / "0")
     if frame.origin is not None:
-        assert np.isfinite(georeference.enu_to_geodetic(np.zeros((1, 3)), frame.origin)).all()
+        assert np.isfinite(enu_to_geodetic(np.zeros((1, 3)), frame.origin)).all()
 
 
 def _read_adjustment(folder: Path) -> None:
@@ -358,11 +359,11 @@ def _read_speeds(folder: Path) -> None:
     import statistics
 
     from curecon_blender.core.run import cost
-    from curecon_blender.core.sparse import matching
+    from curecon_blender.core.sparse import features
 
     for ratios in cost._read(folder / "speeds.json").values():
         assert not ratios or statistics.median(ratios) > 0
-    matching._read_record(folder / "features.json").get("photos", {}).get(PHOTO)
+    features._read_record(folder / "features.json").get("photos", {}).get(PHOTO)
 
 
 def _speeds_cases(folder: Path) -> st.SearchStrategy[tuple[str, bytes]]:

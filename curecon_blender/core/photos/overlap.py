@@ -13,8 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..base import rotations
+from ..base.geodesy import gps_enu
 from ..base.records import Photo
-from ..sparse.placement import gimbal_rotation, gps_enu
 
 WEAK = 0.6  # below it a photo shares too little with its best neighbour for a point to be seen three times
 NEIGHBOURS = 24  # nearest photos that one is compared with
@@ -94,7 +95,7 @@ class _Seer:
         x = (np.arange(columns) + 0.5) / columns - 0.5
         y = (np.arange(rows) + 0.5) / rows - 0.5
         u, v = np.meshgrid(x * photo.width / photo.focal_px, y * photo.height / photo.focal_px)
-        rotation = gimbal_rotation(photo.gimbal)
+        rotation = rotations.from_gimbal(photo.gimbal)
         rays = np.stack([u.ravel(), v.ravel(), np.ones(u.size)], axis=1) @ rotation.T
         down = -rays[:, 2] > np.sin(np.radians(LOWEST)) * np.linalg.norm(rays, axis=1)
         if down.mean() < ON_GROUND:

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..base.rotations import to_quaternions
+
 FINE = 4000  # samples of a flight before it is cut into frames
 SMOOTHING = 1.2  # standard deviation, in mean distances between photos
 SLOWEST = 0.5  # a turn counts as half the way that the flight covers, on average, while it turns as far
@@ -76,25 +78,7 @@ def look_at(places: np.ndarray, target: np.ndarray) -> np.ndarray:
     right = np.cross([0.0, 0.0, 1.0], back)
     length = np.linalg.norm(right, axis=1, keepdims=True)
     right = np.where(length > 1e-6, right / np.maximum(length, 1e-6), [1.0, 0.0, 0.0])
-    return continuous(quaternions(np.stack([right, np.cross(back, right), back], axis=2)))
-
-
-def quaternions(matrices: np.ndarray) -> np.ndarray:
-    """(F,3,3) rotations to (F,4) unit quaternions w, x, y, z."""
-    trace = np.trace(matrices, axis1=1, axis2=2)[:, None]
-    diagonal = np.diagonal(matrices, axis1=1, axis2=2)
-    # Each row is the quaternion times one of its own components; the largest of them is the safest to divide by.
-    squares = np.concatenate([1 + trace, 1 + 2 * diagonal - trace], axis=1)
-    m = matrices
-    products = np.stack([
-        np.stack([squares[:, 0], m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]], axis=1),
-        np.stack([m[:, 2, 1] - m[:, 1, 2], squares[:, 1], m[:, 1, 0] + m[:, 0, 1], m[:, 0, 2] + m[:, 2, 0]], axis=1),
-        np.stack([m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] + m[:, 0, 1], squares[:, 2], m[:, 2, 1] + m[:, 1, 2]], axis=1),
-        np.stack([m[:, 1, 0] - m[:, 0, 1], m[:, 0, 2] + m[:, 2, 0], m[:, 2, 1] + m[:, 1, 2], squares[:, 3]], axis=1),
-    ], axis=1)
-    chosen = products[np.arange(len(m)), squares.argmax(axis=1)]
-    result: np.ndarray = chosen / np.linalg.norm(chosen, axis=1, keepdims=True)
-    return result
+    return continuous(to_quaternions(np.stack([right, np.cross(back, right), back], axis=2)))
 
 
 def continuous(rotations: np.ndarray) -> np.ndarray:

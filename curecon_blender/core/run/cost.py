@@ -27,7 +27,8 @@ from ..base.options import PRESETS, STAGES, SURFACE_STAGES, Options
 from ..base.reading import Within, build, read_json
 from ..base.records import Photo
 from ..depth import estimate as depth
-from ..sparse import matching
+from ..sparse.pairs import expected_pairs, metadata_pairs
+from ..sparse.parallel import threads
 from ..surface.build import POINTS_A_FACE, MeshOptions
 from .workspace import folder_bytes
 
@@ -48,10 +49,11 @@ PIXELS_A_POINT = 11  # of all depth maps, for each point of the cloud
 _PROBE_CONVOLUTION, _PROBE_BLUR = 0.037, 0.013  # seconds of the probes on the reference
 
 
-def predict(photos: tuple[Photo, ...], options: Options, slowness: dict[str, float]) -> dict[str, Any]:
-    """Rough seconds, memory and disk (GiB) of a job with these options to its end `until`; see `slowness_here`."""
+def predict(photos: tuple[Photo, ...], pairs: int, options: Options, slowness: dict[str, float]) -> dict[str, Any]:
+    """Rough seconds, memory and disk (GiB) of a job with these options to its end `until`, in which so many `pairs` of
+    photos are matched; see `count_pairs` and `slowness_here`."""
     stages = STAGES[: STAGES.index(options.until) + 1]
-    seconds = reference_seconds(photos, options)
+    seconds = reference_seconds(photos, pairs, options)
     surface = SURFACE_BYTES if set(stages) & set(SURFACE_STAGES) else 0
     return {
         "seconds": round(sum(seconds[stage] * slowness[stage] for stage in stages)),
@@ -62,10 +64,17 @@ def predict(photos: tuple[Photo, ...], options: Options, slowness: dict[str, flo
 
 def predict_all(photos: tuple[Photo, ...], options: Options, slowness: dict[str, float]) -> dict[str, dict[str, Any]]:
     """`predict` for every quality and goal: {quality: {goal: ...}}."""
+    pairs = count_pairs(photos)
     return {
-        quality: {goal: predict(photos, replace(options, quality=quality, until=goal), slowness) for goal in GOALS}
+        quality: {goal: predict(photos, pairs, replace(options, quality=quality, until=goal), slowness)
+                  for goal in GOALS}
         for quality in PRESETS
     }
+
+
+def count_pairs(photos: tuple[Photo, ...]) -> int:
+    """How many pairs of photos a job will match, whatever its options."""
+    return expected_pairs(photos, metadata_pairs(photos))
 
 
 def free(workspace: Path) -> dict[str, float]:
@@ -91,15 +100,12 @@ def depth_bytes(photos: tuple[Photo, ...], options: Options) -> int:
     return int(sum(_pixels(photo, options.image_size) for photo in photos) * BYTES_PER_DEPTH_PIXEL)
 
 
-def reference_seconds(photos: tuple[Photo, ...], options: Options) -> dict[str, float]:
+def reference_seconds(photos: tuple[Photo, ...], pairs: int, options: Options) -> dict[str, float]:
     """Seconds a stage takes the reference, fitted to the runs in benchmarks/RESULTS.md."""
     size, sources = options.image_size, options.source_views
     sparse_size = options.preset.sfm_image_size
     megapixels = sum(_pixels(photo, size) for photo in photos) / 1e6
     sparse_megapixels = sum(_pixels(photo, sparse_size) for photo in photos) / 1e6
-    pairs = len(matching.metadata_pairs(photos))
-    if matching.needs_retrieval(photos):
-        pairs += len(photos) * matching.RETRIEVED // 2
     features = (options.preset.max_features / 8192) ** 2
     hypotheses = _hypotheses(photos, size)
     return {
@@ -145,7 +151,7 @@ def learn(stage: str, seconds: float, photos: tuple[Photo, ...], options: Option
     if options.speeds is None or seconds < SHORTEST_LEARNED:
         return
     known, key = _read(options.speeds), _key(stage, depth.choose_device(options.device))
-    ratio = seconds / reference_seconds(photos, options)[stage]
+    ratio = seconds / reference_seconds(photos, count_pairs(photos), options)[stage]
     known[key] = [*known.get(key, []), round(ratio, 3)][-JOBS_KEPT:]
     write_json(options.speeds, known)
 
@@ -181,10 +187,10 @@ def _peak_bytes(photos: tuple[Photo, ...], options: Options) -> dict[str, float]
     """The worker's peak memory by stage. The depth stage keeps to its budget, down to what one tile needs."""
     size = options.image_size
     pixels = [_pixels(photo, size) for photo in photos]
-    threads = matching.threads()
+    workers = threads()
     picture = EXTRACTION_BYTES_PER_PIXEL * max(_pixels(photo, options.preset.sfm_image_size) for photo in photos)
     full = max(photo.width * photo.height for photo in photos)
-    readers = images.readers(full, threads)
+    readers = images.readers(full, workers)
     full *= images.DECODING_BYTES
     budget = options.memory_gib * 2**30 if options.memory_gib else 0.6 * psutil.virtual_memory().available
     per_pixel = depth.bytes_per_pixel(_hypotheses(photos, size))
@@ -195,7 +201,7 @@ def _peak_bytes(photos: tuple[Photo, ...], options: Options) -> dict[str, float]
     meshed = min(sum(pixels), PIXELS_A_POINT * POINTS_A_FACE * faces)
     peaks = {
         "photos": readers * full,
-        "sparse": max(readers * (full + picture), threads * MATCHING_BYTES * options.preset.max_features**2),
+        "sparse": max(readers * (full + picture), workers * MATCHING_BYTES * options.preset.max_features**2),
         "views": 1.2 * full, "depth": tile + features, "fusion": 40 * max(pixels),
         "mesh": meshed * MESH_BYTES_PER_PIXEL, "texture": meshed * MESH_BYTES_PER_PIXEL / 2,
     }

@@ -226,8 +226,8 @@ class _Job:
         self._stage("fusion", inputs, run, ["cloud*.ply"])
 
     def mesh(self) -> None:
+        from ..base.rotations import from_quaternion
         from ..cloud.edits import edits_key, read_edited_cloud
-        from ..site.adjustment import rotation
         from ..surface.build import MeshOptions, build_mesh
 
         options, root = self.options, self.workspace.root
@@ -237,7 +237,7 @@ class _Job:
 
         def build(component: Component) -> None:
             cloud = read_edited_cloud(root / component.cloud)
-            turn = rotation(options.region_turn) if options.region_turn else None
+            turn = from_quaternion(options.region_turn) if options.region_turn else None
             with scratch_folder(root / "mesh") as scratch:
                 # Along the region's own axes, and back.
                 if turn is not None:

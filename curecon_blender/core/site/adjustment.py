@@ -17,6 +17,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from ..base import rotations
 from ..base.errors import CuReconError, WorkspaceError
 from ..base.files import disk_errors, write_json
 from ..base.reading import FARTHEST, OneOf, Shape, Within, build, parse_json, read_json
@@ -125,7 +126,7 @@ def with_level(
         target = np.array([0.0, 0.0, 1.0])
     how = "three points on a wall" if wall else "three points on a floor"
     step = Measured(kind=LEVEL, value=0.0, how=how, when=_iso(when))
-    return adjustment._with(step, points, turn=_smallest_turn(normal, target))
+    return adjustment._with(step, points, turn=rotations.between(normal, target))
 
 
 def with_bearing(
@@ -210,18 +211,6 @@ def angle_between(first: Adjustment, second: Adjustment) -> float:
     return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
 
 
-# ---- turning
-
-def rotation(quaternion: tuple[float, ...]) -> np.ndarray:
-    """The rotation (3,3) of a quaternion w, x, y, z of any length above zero."""
-    w, x, y, z = np.array(quaternion) / np.linalg.norm(quaternion)
-    return np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ])
-
-
 # ---- the file
 
 def read(folder: Path) -> Adjustment:
@@ -290,19 +279,6 @@ def _normal(points: np.ndarray) -> np.ndarray:
         raise FrameError("The three points lie in one line.",
                          remedy="Pick them as a wide triangle: the farther apart, the more exact.")
     return np.asarray(across / np.linalg.norm(across))
-
-
-def _smallest_turn(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """The rotation (3,3) about their common normal that takes one unit vector to another."""
-    x, y, z = np.cross(source, target)
-    cosine = float(source @ target)
-    if cosine < -1 + 1e-9:  # half a turn, about any axis across
-        axis = np.eye(3)[np.argmin(np.abs(source))]
-        axis = axis - (axis @ source) * source
-        axis /= np.linalg.norm(axis)
-        return np.asarray(2 * np.outer(axis, axis) - np.eye(3))
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.asarray(np.eye(3) + cross + cross @ cross / (1 + cosine))
 
 
 def _about_z(degrees: float) -> np.ndarray:

@@ -18,9 +18,12 @@ from ..base.images import read_rgb
 from ..base.messages import Reporter
 from ..base.options import Options
 from ..base.records import Frame, Photo, PhotoSet
-from . import matching
-from . import models as colmap_model
-from . import placement as georeference
+from .features import FeatureSettings, extract_features, image_ids, missing_features, open_database
+from .matches import match_pairs, unmatched
+from .models import find_models, fit_to_photos, given_frame, listed, read_model, write_components
+from .pairs import Pair, expected_pairs, metadata_pairs, near_pairs, needs_retrieval, similar_pairs
+from .parallel import threads
+from .placement import Placement, place
 
 INCREMENTAL = 300  # photos; up to here "auto" takes the incremental mapper, which is the more robust
 SMALLEST = 3  # photos in a component
@@ -41,14 +44,14 @@ def reconstruct(photo_set: PhotoSet, options: Options, workspace: Path, reporter
     _quiet()
     photos = photo_set.photos
     settings = _feature_settings(options)
-    with matching.open_database(_database_path(workspace), photos, settings) as database:
-        pairs = matching.metadata_pairs(photos)
-        retrieval = matching.needs_retrieval(photos)
-        expected = len(pairs) + retrieval * len(photos) * matching.RETRIEVED // 2
-        meter = _Meter(reporter, settings, features=len(photos), pairs=expected, mapping=len(photos))
+    with open_database(_database_path(workspace), photos, settings) as database:
+        pairs = metadata_pairs(photos)
+        meter = _Meter(
+            reporter, settings, features=len(photos), pairs=expected_pairs(photos, pairs), mapping=len(photos)
+        )
         _extract(database, photos, settings, meter)
-        if retrieval:
-            pairs |= matching.similar_pairs(database, photos, reporter.check_cancelled)
+        if needs_retrieval(photos):
+            pairs |= similar_pairs(database, photos, reporter.check_cancelled)
         _match(database, photos, pairs, options, meter)
     models = _components(_map(photos, options, workspace, meter))
     if not models:
@@ -61,12 +64,12 @@ def reconstruct(photo_set: PhotoSet, options: Options, workspace: Path, reporter
     _warn_of_gaps(models, photos, reporter)
     placed = []
     for index, model in enumerate(models):
-        placement = georeference.place(model, by_name)
+        placement = place(model, by_name)
         model.transform(placement.site_from_model)
         _warn_of_gps(placement, model.num_reg_images(), index, reporter)
         _colour(model, by_name, settings.image_size, reporter)
         placed.append((model, placement.frame))
-    colmap_model.write_components(workspace, placed)
+    write_components(workspace, placed)
     meter.finish()
     return [frame for _, frame in placed]
 
@@ -81,18 +84,18 @@ def import_model(
     """
     _quiet()
     components = []
-    for folder in colmap_model.find_models(model_dir):
-        model = colmap_model.fit_to_photos(colmap_model.read_model(folder), photo_set, folder, reporter)
+    for folder in find_models(model_dir):
+        model = fit_to_photos(read_model(folder), photo_set, folder, reporter)
         if model.num_points3D() == 0:
             model = _triangulate(model, photo_set, options, workspace, reporter)
-        components.append((model, colmap_model.given_frame(folder)))
+        components.append((model, given_frame(folder)))
     unused = {photo.name for photo in photo_set.photos}
     for model, _ in components:
         unused -= {model.image(i).name for i in model.reg_image_ids()}
     if unused:
-        reporter.warning(f"{len(unused)} photos are not in the model: {colmap_model.listed(sorted(unused))}.")
+        reporter.warning(f"{len(unused)} photos are not in the model: {listed(sorted(unused))}.")
     components.sort(key=lambda component: -component[0].num_reg_images())
-    colmap_model.write_components(workspace, components)
+    write_components(workspace, components)
     return [frame for _, frame in components]
 
 
@@ -105,8 +108,8 @@ def _database_path(workspace: Path) -> Path:
     return workspace / "sparse" / "features.db"
 
 
-def _feature_settings(options: Options) -> matching.FeatureSettings:
-    return matching.FeatureSettings(
+def _feature_settings(options: Options) -> FeatureSettings:
+    return FeatureSettings(
         image_size=options.preset.sfm_image_size, max_features=options.preset.max_features
     )
 
@@ -115,7 +118,7 @@ class _Meter:
     """The stage's progress over its three phases in per cent, weighed by rough seconds."""
 
     def __init__(
-        self, reporter: Reporter, settings: matching.FeatureSettings, *, features: int, pairs: int, mapping: int
+        self, reporter: Reporter, settings: FeatureSettings, *, features: int, pairs: int, mapping: int
     ) -> None:
         self.reporter = reporter
         self.feature = 100 * _FEATURE_COST * (settings.image_size / 1200) ** 2
@@ -137,23 +140,23 @@ class _Meter:
 
 
 def _extract(
-    database: pycolmap.Database, photos: tuple[Photo, ...], settings: matching.FeatureSettings, meter: _Meter
+    database: pycolmap.Database, photos: tuple[Photo, ...], settings: FeatureSettings, meter: _Meter
 ) -> None:
-    found = len(photos) - len(matching.missing_features(database, photos))
+    found = len(photos) - len(missing_features(database, photos))
     if found:
         meter.advance(found * meter.feature, fresh=False)
-    matching.extract_features(database, photos, settings, lambda: meter.advance(meter.feature))
+    extract_features(database, photos, settings, lambda: meter.advance(meter.feature))
 
 
 def _match(
-    database: pycolmap.Database, photos: tuple[Photo, ...], pairs: set[matching.Pair], options: Options, meter: _Meter
+    database: pycolmap.Database, photos: tuple[Photo, ...], pairs: set[Pair], options: Options, meter: _Meter
 ) -> None:
     meter.enter(1)
-    left = matching.unmatched(database, photos, pairs)
+    left = unmatched(database, photos, pairs)
     if len(left) < len(pairs):
         meter.advance((len(pairs) - len(left)) * meter.pair, fresh=False)
     device = "cuda" if options.device in ("auto", "cuda") and torch.cuda.is_available() else "cpu"
-    matching.match_pairs(database, photos, left, device, lambda: meter.advance(meter.pair))
+    match_pairs(database, photos, left, device, lambda: meter.advance(meter.pair))
 
 
 # ---- mapping
@@ -174,7 +177,7 @@ def _map(photos: tuple[Photo, ...], options: Options, workspace: Path, meter: _M
         settings = pycolmap.IncrementalPipelineOptions()
         settings.image_names, settings.extract_colors = names, False
         settings.min_model_size = SMALLEST
-        settings.num_threads, settings.random_seed = matching.threads(), 0
+        settings.num_threads, settings.random_seed = threads(), 0
         return list(pycolmap.incremental_mapping(
             _database_path(workspace), workspace, output, settings,
             next_image_callback=count, cancellation_token=token,
@@ -183,7 +186,7 @@ def _map(photos: tuple[Photo, ...], options: Options, workspace: Path, meter: _M
     def at_once(_: pycolmap.CancellationToken) -> list[pycolmap.Reconstruction]:
         settings = pycolmap.GlobalPipelineOptions()
         settings.image_names, settings.min_model_size = names, SMALLEST
-        settings.num_threads, settings.random_seed = matching.threads(), 0
+        settings.num_threads, settings.random_seed = threads(), 0
         return list(pycolmap.global_mapping(_database_path(workspace), workspace, output, settings).values())
 
     with scratch_folder(workspace / "sparse" / "mapper") as output:
@@ -248,7 +251,7 @@ def _warn_of_gaps(models: list[pycolmap.Reconstruction], photos: tuple[Photo, ..
     left = [photo.name for photo in photos if photo.name not in placed]
     if left:
         reporter.warning(
-            f"{len(left)} of {len(photos)} photos could not be placed and are not used: {colmap_model.listed(left)}. "
+            f"{len(left)} of {len(photos)} photos could not be placed and are not used: {listed(left)}. "
             "They overlap too little with the others."
         )
     if len(models) > 1:
@@ -259,7 +262,7 @@ def _warn_of_gaps(models: list[pycolmap.Reconstruction], photos: tuple[Photo, ..
         )
 
 
-def _warn_of_gps(placement: georeference.Placement, photos: int, index: int, reporter: Reporter) -> None:
+def _warn_of_gps(placement: Placement, photos: int, index: int, reporter: Reporter) -> None:
     part = "" if index == 0 else f" of part {index + 1}"
     if placement.frame.scale == "unknown":
         reporter.warning(f"Placement{part}: {placement.frame.note}")
@@ -278,7 +281,7 @@ def _warn_of_gps(placement: georeference.Placement, photos: int, index: int, rep
     if far:
         reporter.warning(
             f"{len(far)} of {photos} photos lie far from their GPS, against a median of {residual:.1f} m: "
-            f"{colmap_model.listed(far)}. Their GPS is wrong, or they were joined to the wrong place: check them."
+            f"{listed(far)}. Their GPS is wrong, or they were joined to the wrong place: check them."
         )
 
 
@@ -299,12 +302,12 @@ def _triangulate(
     result, matches = pycolmap.Reconstruction(), pycolmap.CorrespondenceGraph()
     for camera in model.cameras.values():
         result.add_camera_with_trivial_rig(camera)
-    with matching.open_database(_database_path(workspace), photos, settings) as database:
-        pairs = matching.near_pairs(centres, axes)
+    with open_database(_database_path(workspace), photos, settings) as database:
+        pairs = near_pairs(centres, axes)
         meter = _Meter(reporter, settings, features=len(photos), pairs=len(pairs), mapping=0)
         _extract(database, photos, settings, meter)
         _match(database, photos, pairs, options, meter)
-        ids = matching.image_ids(database, photos)
+        ids = image_ids(database, photos)
         for photo, image_id in zip(photos, ids, strict=True):
             given = images[photo.name]
             keypoints = database.read_keypoints(image_id)[:, :2].astype(np.float64)

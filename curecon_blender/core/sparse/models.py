@@ -20,7 +20,8 @@ from ..base.messages import Reporter
 from ..base.reading import FARTHEST
 from ..base.records import Frame, Photo, PhotoSet
 from .model_files import check_binary
-from .placement import FRAME_FILE, read_frame, write_frame
+from .record import FILE_NAME as FRAME_FILE
+from .record import read_frame, write_frame
 
 # What pycolmap raises on malformed files.
 _READ_ERRORS = (ValueError, LookupError, RuntimeError, MemoryError, TypeError, ArithmeticError, OSError)

@@ -6,27 +6,21 @@ so."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
-from pathlib import Path
+from dataclasses import dataclass, field
 
 import numpy as np
 import pycolmap
 
-from ..base.errors import WorkspaceError
-from ..base.files import write_json
+from ..base import rotations
+from ..base.geodesy import enu_to_geodetic, geodetic_to_enu, gps_enu
 from ..base.ground import lowest_wide_level
-from ..base.reading import build, read_json
-from ..base.records import Frame, GeoPosition, Gimbal, Photo
+from ..base.records import Frame, GeoPosition, Photo
 
-FRAME_FILE = "frame.json"
 SHORTEST_BASELINE = 5.0  # metres; GPS positions closer together than this say nothing of scale
 WORST_AGREEMENT = 0.4  # median residual over the median distance from the GPS positions' centre; 1 is no agreement
 LINE = 0.05  # spread across a flight as a share of the spread along it; below it the flight counts as a straight line
 NEAR = 2.5  # times the points' median distance from the site's middle: land farther off has its own ground
 TYPICAL_DISTANCE = 10.0  # units from camera to points where the scale is unknown
-
-_WGS84_A = 6378137.0
-_WGS84_E2 = (1 / 298.257223563) * (2 - 1 / 298.257223563)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,85 +31,6 @@ class Placement:
     frame: Frame
     gps_residuals: dict[str, float] = field(default_factory=dict)
 
-
-def write_frame(folder: Path, frame: Frame) -> None:
-    """Write the frame's record beside a component's COLMAP model (atomically)."""
-    write_json(folder / FRAME_FILE, asdict(frame))
-
-
-def read_frame(folder: Path) -> Frame:
-    """The record that `write_frame` left in a component's folder. Raises WorkspaceError when missing or damaged."""
-    path = folder / FRAME_FILE
-    try:
-        frame: Frame = build(Frame, read_json(path))
-        return frame
-    except (OSError, ValueError) as error:
-        raise WorkspaceError(
-            f"{path} is missing or damaged ({error}).", remedy="Run Reconstruct again in this workspace.", path=path
-        ) from error
-
-
-# ---- geodesy
-
-def geodetic_to_enu(positions: np.ndarray, origin: GeoPosition) -> np.ndarray:
-    """(N,3) latitude, longitude (degrees), altitude (metres) on WGS84 -> (N,3) metres east, north, up of `origin`."""
-    reference = np.array([[origin.latitude, origin.longitude, origin.altitude]])
-    return (_ecef(positions) - _ecef(reference)) @ _enu_from_ecef(origin).T
-
-
-def enu_to_geodetic(enu: np.ndarray, origin: GeoPosition) -> np.ndarray:
-    """The inverse of `geodetic_to_enu`: (N,3) metres -> (N,3) degrees, degrees, metres."""
-    reference = np.array([[origin.latitude, origin.longitude, origin.altitude]])
-    x, y, z = (enu @ _enu_from_ecef(origin) + _ecef(reference)).T
-    across = np.hypot(x, y)
-    latitude = np.arctan2(z, across * (1 - _WGS84_E2))
-    for _ in range(6):  # converges by a factor of about 300 a step: nanometres after four
-        normal = _WGS84_A / np.sqrt(1 - _WGS84_E2 * np.sin(latitude) ** 2)
-        latitude = np.arctan2(z + _WGS84_E2 * normal * np.sin(latitude), across)
-    normal = _WGS84_A / np.sqrt(1 - _WGS84_E2 * np.sin(latitude) ** 2)
-    # Height along the normal, in the form that holds at the poles too.
-    altitude = across * np.cos(latitude) + z * np.sin(latitude) - _WGS84_A**2 / normal
-    return np.stack([np.degrees(latitude), np.degrees(np.arctan2(y, x)), altitude], axis=1)
-
-
-def _ecef(positions: np.ndarray) -> np.ndarray:
-    latitude, longitude = np.radians(positions[:, 0]), np.radians(positions[:, 1])
-    normal = _WGS84_A / np.sqrt(1 - _WGS84_E2 * np.sin(latitude) ** 2)
-    across = (normal + positions[:, 2]) * np.cos(latitude)
-    up = (normal * (1 - _WGS84_E2) + positions[:, 2]) * np.sin(latitude)
-    return np.stack([across * np.cos(longitude), across * np.sin(longitude), up], axis=1)
-
-
-def _enu_from_ecef(origin: GeoPosition) -> np.ndarray:
-    sin_lat, cos_lat = np.sin(np.radians(origin.latitude)), np.cos(np.radians(origin.latitude))
-    sin_lon, cos_lon = np.sin(np.radians(origin.longitude)), np.cos(np.radians(origin.longitude))
-    return np.array([
-        [-sin_lon, cos_lon, 0.0],
-        [-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat],
-        [cos_lat * cos_lon, cos_lat * sin_lon, sin_lat],
-    ])
-
-
-def gps_enu(photos: list[Photo]) -> tuple[np.ndarray, GeoPosition]:
-    """Camera positions (N,3) in metres east, north, up of their median; every photo must have GPS."""
-    positions = np.array([[p.gps.latitude, p.gps.longitude, p.gps.altitude] for p in photos if p.gps is not None])
-    origin = GeoPosition(**dict(zip(("latitude", "longitude", "altitude"), np.median(positions, 0).tolist(),
-                                    strict=True)))
-    return geodetic_to_enu(positions, origin), origin
-
-
-def gimbal_rotation(gimbal: Gimbal) -> np.ndarray:
-    """enu_from_cam (3,3) of a camera (x right, y down, z forward) held as the gimbal says."""
-    yaw, pitch, roll = np.radians([gimbal.yaw, gimbal.pitch, gimbal.roll])
-    forward = np.array([np.sin(yaw) * np.cos(pitch), np.cos(yaw) * np.cos(pitch), np.sin(pitch)])
-    right = np.array([np.cos(yaw), -np.sin(yaw), 0.0])
-    down = np.cross(forward, right)
-    return np.stack([
-        np.cos(roll) * right + np.sin(roll) * down, np.cos(roll) * down - np.sin(roll) * right, forward
-    ], axis=1)
-
-
-# ---- placement
 
 def place(model: pycolmap.Reconstruction, photos: Mapping[str, Photo]) -> Placement:
     """Find the site frame of a model with points, whose images are named as `photos`: its origin lies in the site's
@@ -197,7 +112,7 @@ def up_from_cameras(cameras: _Cameras) -> Gravity:
     with_gimbal = [i for i, photo in enumerate(cameras.photos) if photo.gimbal is not None]
     if len(with_gimbal) >= 3:
         ups = np.array([
-            cameras.rotations[i].T @ gimbal_rotation(gimbal)[2]
+            cameras.rotations[i].T @ rotations.from_gimbal(gimbal)[2]
             for i in with_gimbal if (gimbal := cameras.photos[i].gimbal) is not None
         ])
         up = _unit(np.median(ups, axis=0))
@@ -227,7 +142,7 @@ def _place_by_gravity(
     model: pycolmap.Reconstruction, cameras: _Cameras, gravity: Gravity, why: str
 ) -> Placement:
     scale = TYPICAL_DISTANCE / max(_median_distance(model), 1e-9)
-    rotation = _rotation_to_z(gravity.up)
+    rotation = rotations.between(gravity.up, np.array([0.0, 0.0, 1.0]))
     middle = _middle_on_the_ground(scale * _points(model) @ rotation.T)
     transform = pycolmap.Sim3d(scale, pycolmap.Rotation3d(rotation), -middle)
     note = f"{why}: scale and north are unknown (set them with a scale bar); Z up comes from {gravity.source}."
@@ -342,12 +257,3 @@ def _median_distance(model: pycolmap.Reconstruction) -> float:
 
 def _unit(vector: np.ndarray) -> np.ndarray:
     return np.asarray(vector / max(float(np.linalg.norm(vector)), 1e-12))
-
-
-def _rotation_to_z(direction: np.ndarray) -> np.ndarray:
-    """The smallest rotation (3,3) that turns a unit vector to Z."""
-    x, y, z = direction
-    if z < -1 + 1e-9:
-        return np.diag([1.0, -1.0, -1.0])
-    cross = np.array([[0, 0, -x], [0, 0, -y], [x, y, 0]])
-    return np.asarray(np.eye(3) + cross + cross @ cross / (1 + z))

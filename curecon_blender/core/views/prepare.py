@@ -16,7 +16,7 @@ from ..base.messages import Reporter
 from ..base.options import Options
 from ..base.records import Component, PhotoSet, View
 from ..sparse.models import read_model
-from ..sparse.placement import read_frame
+from ..sparse.record import read_frame
 from . import sparse_points
 from .scores import depth_range, matching_score
 from .undistortion import undistort

@@ -1,0 +1,32 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`frame.json` beside a component's COLMAP model: what is known of its frame."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+
+from ..base.errors import WorkspaceError
+from ..base.files import write_json
+from ..base.reading import build, read_json
+from ..base.records import Frame
+
+FILE_NAME = "frame.json"
+
+
+def write_frame(folder: Path, frame: Frame) -> None:
+    """Write the frame's record into a component's folder (atomically). Raises WorkspaceError."""
+    write_json(folder / FILE_NAME, asdict(frame))
+
+
+def read_frame(folder: Path) -> Frame:
+    """The record that `write_frame` left in a component's folder. Raises WorkspaceError when missing or damaged."""
+    path = folder / FILE_NAME
+    try:
+        frame: Frame = build(Frame, read_json(path))
+        return frame
+    except (OSError, ValueError) as error:
+        raise WorkspaceError(
+            f"{path} is missing or damaged ({error}).", remedy="Run Reconstruct again in this workspace.", path=path
+        ) from error
