@@ -9,7 +9,7 @@ from pathlib import Path
 import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 
-from ..scene import elevations, stage
+from ..scene import elevations, render_scene
 from . import rendering
 from .rendering import RenderSeries
 
@@ -20,8 +20,8 @@ class CURECON_OT_render_elevations(RenderSeries, bpy.types.Operator):
     bl_idname = "curecon.render_elevations"
     bl_label = "Draw Elevations"
 
-    def shots(self, context: bpy.types.Context, staged: bpy.types.Scene, folder: Path) -> list[stage.Shot]:
-        self._plan = elevations.plan(context.scene, staged, folder)
+    def shots(self, context: bpy.types.Context, copy: bpy.types.Scene, folder: Path) -> list[render_scene.Shot]:
+        self._plan = elevations.plan(context.scene, copy, folder)
         return [elevation.shot for elevation in self._plan.elevations]
 
     def done(self, scene: bpy.types.Scene, folder: Path) -> str:

@@ -13,7 +13,7 @@ from bpy.props import EnumProperty
 
 from ..core.base.errors import CuReconError, WorkspaceError
 from ..core.photos import capture
-from ..scene import cameras, flight, site, stage
+from ..scene import cameras, flight, render_scene, site
 from . import places, running
 
 KINDS = (
@@ -56,7 +56,7 @@ Made again, it takes the place of the earlier one"""
         except CuReconError as error:
             self.report({"ERROR"}, running.explain(error))
             return {"CANCELLED"}
-        stage.apply_quality(scene)
+        render_scene.apply_quality(scene)
         cameras.enter_view(context)
         said = rpt_("{}: {} frames. Play it with the space bar.").format(camera.name, scene.frame_end)
         self.report({"INFO"}, said)

@@ -13,7 +13,7 @@ from bpy.props import EnumProperty
 
 from ..core.base.errors import WorkspaceError
 from ..core.photos import capture
-from ..scene import cameras, flight, site, stage
+from ..scene import cameras, flight, render_scene, site
 from . import places
 
 WHICH = (
@@ -51,7 +51,7 @@ class CURECON_OT_look_through(bpy.types.Operator):
             self.report({"ERROR"}, "Select the camera of a photo first.")
             return {"CANCELLED"}
         cameras.look_through(context, camera)
-        stage.apply_quality(scene)
+        render_scene.apply_quality(scene)
         cameras.overlay(camera, scene.curecon.present.photo_opacity)
         return {"FINISHED"}
 

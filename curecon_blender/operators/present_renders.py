@@ -10,7 +10,7 @@ import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 
 from ..core.base.errors import WorkspaceError
-from ..scene import showreel, stage
+from ..scene import render_scene, showreel
 from . import rendering, running
 from .rendering import RenderSeries
 
@@ -23,8 +23,8 @@ The film shows the camera move that the scene looks through, or else a turntable
     bl_idname = "curecon.render_showreel"
     bl_label = "Render Stills and Film"
 
-    def shots(self, context: bpy.types.Context, staged: bpy.types.Scene, folder: Path) -> list[stage.Shot]:
-        self._shots = showreel.shots(context.scene, staged, folder)
+    def shots(self, context: bpy.types.Context, copy: bpy.types.Scene, folder: Path) -> list[render_scene.Shot]:
+        self._shots = showreel.shots(context.scene, copy, folder)
         return self._shots
 
     def done(self, scene: bpy.types.Scene, folder: Path) -> str:

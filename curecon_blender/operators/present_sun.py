@@ -13,7 +13,7 @@ from bpy.app.translations import pgettext_rpt as rpt_
 from ..core.base.errors import CuReconError, WorkspaceError
 from ..core.photos import capture
 from ..core.present import sun
-from ..scene import daylight, site, stage
+from ..scene import daylight, render_scene, site
 from . import places, running
 
 
@@ -81,7 +81,7 @@ def _set_sun(scene: bpy.types.Scene) -> tuple[str, str]:
         )
     daylight.shine(scene, site.box(scene), azimuth, altitude, north)
     properties.surface_light = "SCENE"
-    stage.apply_quality(scene)
+    render_scene.apply_quality(scene)
     said = [rpt_("{:%d %B %Y, %H:%M} UTC: the sun {:.0f}° high in {:.0f}°.").format(utc, altitude, azimuth)]
     if known.origin is None:
         said.append(rpt_("The place is the one typed in."))

@@ -13,7 +13,7 @@ import bpy
 
 from ..core.base.errors import CuReconError, WorkspaceError
 from ..core.base.files import disk_errors
-from ..scene import site, stage
+from ..scene import render_scene, site
 from . import places, running
 
 POLL_SECONDS = 0.2
@@ -51,10 +51,10 @@ def today() -> str:
 
 
 class RenderSeries:
-    """Mixed into an operator. A subclass gives `shots`, which puts cameras on the stage, and `done`, which takes in the
+    """Mixed into an operator. A subclass gives `shots`, which puts cameras in the copy, and `done`, which takes in the
     files and returns the report; both may raise CuReconError."""
 
-    shots: Callable[[bpy.types.Context, bpy.types.Scene, Path], list[stage.Shot]]
+    shots: Callable[[bpy.types.Context, bpy.types.Scene, Path], list[render_scene.Shot]]
     done: Callable[[bpy.types.Scene, Path], str]
     # Blender's, of the operator that this is mixed into:
     report: Callable[[set[str], str], None]
@@ -74,9 +74,9 @@ class RenderSeries:
         try:
             self._start(context)
             for shot in self._queue:
-                stage.set_up(self._stage, shot)
+                render_scene.set_up(self._copy, shot)
                 print(f"CU-Recon: {shot.name}", flush=True)
-                bpy.ops.render.render(scene=self._stage.name, write_still=True, animation=shot.frames > 1)
+                bpy.ops.render.render(scene=self._copy.name, write_still=True, animation=shot.frames > 1)
         except (CuReconError, RuntimeError) as error:  # Blender's own: no graphics card for EEVEE, no such folder
             return self._fail(error)
         return self._finish(context)
@@ -97,17 +97,17 @@ class RenderSeries:
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if event.type != "TIMER" or bpy.app.is_job_running("RENDER"):
             return {"PASS_THROUGH"}
-        if self._cancelled or stage.find() is None:
+        if self._cancelled or render_scene.find() is None:
             self._close(context)
             self.report({"WARNING"}, "Cancelled; what is finished lies in the folder.")
             return {"CANCELLED"}
         if progress.done == len(self._queue):
             return self._finish(context)
         shot = self._queue[progress.done]
-        stage.set_up(self._stage, shot)
+        render_scene.set_up(self._copy, shot)
         # A render that another one holds up is asked for again at the next tick.
         started = bpy.ops.render.render(
-            "INVOKE_DEFAULT", scene=self._stage.name, write_still=True, animation=shot.frames > 1
+            "INVOKE_DEFAULT", scene=self._copy.name, write_still=True, animation=shot.frames > 1
         )
         if "CANCELLED" not in started:
             progress.name, progress.done = shot.name, progress.done + 1
@@ -129,8 +129,8 @@ class RenderSeries:
                     f"{folder} cannot be a folder: a file is in the way.", remedy="Choose another folder.", path=folder,
                 ) from error
         self._scene_name, self._folder = scene.name, folder
-        self._stage = stage.open_stage(scene)
-        self._queue = self.shots(context, self._stage, folder)
+        self._copy = render_scene.create(scene)
+        self._queue = self.shots(context, self._copy, folder)
         progress.running, progress.done, progress.total, progress.name = True, 0, len(self._queue), ""
 
     def _finish(self, context: bpy.types.Context) -> set[str]:
@@ -160,8 +160,8 @@ class RenderSeries:
             self._timer = None
             bpy.app.handlers.render_cancel.remove(self._on_cancel)
             running.redraw_panels(context)
-        if (staged := stage.find()) is not None:
-            stage.close_stage(staged)
+        if (copy := render_scene.find()) is not None:
+            render_scene.remove(copy)
 
     def _on_cancel(self, *_: object) -> None:
         self._cancelled = True

@@ -12,7 +12,7 @@ from math import pi
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 
-from ..scene import cameras, daylight, stage
+from ..scene import cameras, daylight, render_scene
 
 SCALES = tuple(
     (str(scale), f"1:{scale}", f"1 cm on the paper is {scale / 100:g} m on the building")
@@ -43,7 +43,7 @@ def _sky_only(present: CURECON_PG_present, context: bpy.types.Context) -> None:
 
 
 def _quality(present: CURECON_PG_present, context: bpy.types.Context) -> None:
-    stage.apply_quality(present.id_data)
+    render_scene.apply_quality(present.id_data)
 
 
 class CURECON_PG_present(bpy.types.PropertyGroup):

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..core.present import sheet, sheet_files
 from ..core.present.sheet import Drawing
-from . import site, stage, surface
+from . import render_scene, site, surface
 from .lettering import letters
 
 BARE = 0.1  # share of a drawing with anything on it, below which its side counts as not measured
@@ -26,7 +26,7 @@ SIDES = ("Front", "Right", "Back", "Left")  # where north is unknown
 class Elevation:
     """A render to be made and what its sheet will say; `north` as Drawing has it."""
 
-    shot: stage.Shot
+    shot: render_scene.Shot
     name: str
     orientation: str
     north: float | None
@@ -43,15 +43,15 @@ class Plan:
     pixels_per_mm: int
 
 
-def plan(scene: bpy.types.Scene, staged: bpy.types.Scene, folder: Path) -> Plan:
-    """Put a camera square to each side of the building, and one above it, on the stage. Raises SurfaceError."""
+def plan(scene: bpy.types.Scene, copy: bpy.types.Scene, folder: Path) -> Plan:
+    """Put a camera square to each side of the building, and one above it, in the copy. Raises SurfaceError."""
     present = scene.curecon.present
     about = site.box(scene, present.facade_turn)
-    pixels_per_mm = stage.PRESETS[present.quality].sheet_pixels_per_mm
+    pixels_per_mm = render_scene.QUALITIES[present.quality].sheet_pixels_per_mm
     known = site.known(scene)
     scale = int(present.sheet_scale) if known.metres else None
-    stage.show_fronts_only(staged)
-    surface.light(staged, by_scene=present.sheet_light == "SCENE")
+    render_scene.show_fronts_only(copy)
+    surface.light(copy, by_scene=present.sheet_light == "SCENE")
     x, y = about.axis(0), about.axis(1)
     views = [(side, np.array([np.cross(UP, out), UP, out])) for side, out in zip(SIDES, (-y, x, y, -x), strict=True)]
     views.append(("Roof plan", np.array([x, y, UP])))
@@ -67,9 +67,9 @@ def plan(scene: bpy.types.Scene, staged: bpy.types.Scene, folder: Path) -> Plan:
         shown = pixels[0] / pixels_per_mm / mm_per_unit, pixels[1] / pixels_per_mm / mm_per_unit
         name, orientation, north = _words(side, axes, is_plan=is_plan, has_north=known.north)
         file = folder / f"{number}_{name.lower().replace(' ', '_')}.png"
-        camera = stage.add_square(staged, name, about, axes, shown)
+        camera = render_scene.add_square(copy, name, about, axes, shown)
         made.append(Elevation(
-            shot=stage.Shot(name=name, file=file, camera=camera, size=pixels, clear=True), name=name,
+            shot=render_scene.Shot(name=name, file=file, camera=camera, size=pixels, clear=True), name=name,
             orientation=orientation, north=north,
         ))
     return Plan(elevations=tuple(made), round=about.round, scale=scale, pixels_per_mm=pixels_per_mm)
@@ -80,7 +80,7 @@ def write_sheets(made: Plan, folder: Path, title: str, date: str) -> list[str]:
     there is next to nothing. Raises WorkspaceError."""
     sheets, bare = [], []
     for elevation in made.elevations:
-        pixels = stage.read_pixels(elevation.shot.file)
+        pixels = render_scene.read_pixels(elevation.shot.file)
         if np.any(pixels < 255, axis=2).mean() < BARE:
             bare.append(elevation.name)
         drawing = Drawing(

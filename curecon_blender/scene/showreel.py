@@ -10,7 +10,7 @@ from pathlib import Path
 import bpy
 
 from ..core.present import sheet, sheet_files
-from . import flight, site, stage
+from . import flight, render_scene, site
 from .lettering import letters
 
 FROM_ABOVE = 2.0  # times the box's radius: the height of the still that looks down steeply
@@ -18,10 +18,10 @@ STEEPEST = 22.0  # degrees that the other four look down, or no sky would be see
 CONTACT_PIXELS_PER_MM = 8
 
 
-def shots(scene: bpy.types.Scene, staged: bpy.types.Scene, folder: Path) -> list[stage.Shot]:
-    """Put the cameras of the stills and of the film on the stage. Raises SurfaceError."""
+def shots(scene: bpy.types.Scene, copy: bpy.types.Scene, folder: Path) -> list[render_scene.Shot]:
+    """Put the cameras of the stills and of the film in the copy. Raises SurfaceError."""
     present, about = scene.curecon.present, site.box(scene)
-    share = stage.PRESETS[present.quality].film_percentage / 100
+    share = render_scene.QUALITIES[present.quality].film_percentage / 100
     size = round(flight.FILM_SIZE[0] * share), round(flight.FILM_SIZE[1] * share)
     has_north = site.known(scene).north
     height = (present.height - 0.5) * about.height
@@ -32,20 +32,20 @@ def shots(scene: bpy.types.Scene, staged: bpy.types.Scene, folder: Path) -> list
         name, high, steepest = (
             (side, height, STEEPEST) if number < 5 else ("From above", FROM_ABOVE * about.radius, 90.0)
         )
-        camera = stage.add_still(staged, name, about, azimuth, high, steepest)
-        made.append(stage.Shot(name=name, file=folder / f"still_{number}.png", camera=camera, size=size))
+        camera = render_scene.add_still(copy, name, about, azimuth, high, steepest)
+        made.append(render_scene.Shot(name=name, file=folder / f"still_{number}.png", camera=camera, size=size))
     if flight.is_move(scene.camera):
         film, frames = scene.camera.name, flight.frames_of(scene.camera)
     else:
         frames = flight.frame_count(scene)
-        film = stage.add_orbit(staged, about, flight.around(about, "ORBIT", present, frames))
-    made.append(stage.Shot(name="Film", file=folder / "film.mp4", camera=film, size=size, frames=frames))
+        film = render_scene.add_orbit(copy, about, flight.around(about, "ORBIT", present, frames))
+    made.append(render_scene.Shot(name="Film", file=folder / "film.mp4", camera=film, size=size, frames=frames))
     return made
 
 
-def write_contact_sheet(stills: list[stage.Shot], folder: Path, title: str, date: str) -> None:
+def write_contact_sheet(stills: list[render_scene.Shot], folder: Path, title: str, date: str) -> None:
     """The stills on one page, as PNG and PDF. Raises WorkspaceError."""
-    pictures = [(shot.name, stage.read_pixels(shot.file)) for shot in stills]
+    pictures = [(shot.name, render_scene.read_pixels(shot.file)) for shot in stills]
     page = sheet.contact_sheet(pictures, title, date, letters)
     sheet_files.write_png(folder / "contact_sheet.png", page, CONTACT_PIXELS_PER_MM)
     sheet_files.write_pdf(folder / "contact_sheet.pdf", [page], title)

@@ -18,7 +18,7 @@ import curecon_blender
 from curecon_blender.operators import rendering
 from curecon_blender.panels.present import CURECON_PT_present_elevations, CURECON_PT_present_sun
 from curecon_blender.panels.result import CURECON_PT_result
-from curecon_blender.scene import elevations, stage
+from curecon_blender.scene import elevations, render_scene
 
 FOLDER = Path(sys.argv[1])
 METRIC, UNKNOWN = FOLDER / "metric_curecon", FOLDER / "unknown_curecon"
@@ -62,10 +62,10 @@ def on_the_sheets() -> set[str]:
         texts.add(text)
         return letters(text)
 
-    staged = stage.open_stage(scene)
+    copy = render_scene.create(scene)
     elevations.letters = keep
     try:
-        plan = elevations.plan(scene, staged, FOLDER)
+        plan = elevations.plan(scene, copy, FOLDER)
         for elevation in plan.elevations:
             blank = bpy.data.images.new("blank", 8, 8, alpha=True)
             blank.filepath_raw, blank.file_format = str(elevation.shot.file), "PNG"
@@ -73,7 +73,7 @@ def on_the_sheets() -> set[str]:
         elevations.write_sheets(plan, FOLDER, rendering.title_of(scene), rendering.today())
     finally:
         elevations.letters = letters
-        stage.close_stage(staged)
+        render_scene.remove(copy)
     return texts
 
 

@@ -18,14 +18,14 @@ from ..core.present.camera_path import CameraPath
 from . import flight, presentation, site, surface
 from .surface import surfaces_of
 
-STAGE_ROLE = "stage"
+COPY_ROLE = "stage"
 NAME = "CU-Recon Rendering"
 FRONT_NODES = ("CU-Recon Front", "CU-Recon Backfacing", "CU-Recon Nothing")
 EEVEES = ("BLENDER_EEVEE", "BLENDER_EEVEE_NEXT")  # 4.5 has the second, 5.0 and later the first
 
 
 @dataclass(frozen=True, kw_only=True)
-class Preset:
+class Quality:
     """What a quality stands for: samples a pixel, a film's share of full HD, and a sheet's pixels to the millimetre."""
 
     samples: int
@@ -33,9 +33,9 @@ class Preset:
     sheet_pixels_per_mm: int
 
 
-PRESETS = {
-    "DRAFT": Preset(samples=8, film_percentage=50, sheet_pixels_per_mm=4),
-    "GOOD": Preset(samples=48, film_percentage=100, sheet_pixels_per_mm=8),
+QUALITIES = {
+    "DRAFT": Quality(samples=8, film_percentage=50, sheet_pixels_per_mm=4),
+    "GOOD": Quality(samples=48, film_percentage=100, sheet_pixels_per_mm=8),
 }
 
 
@@ -52,15 +52,15 @@ class Shot:
     clear: bool = False
 
 
-def open_stage(scene: bpy.types.Scene) -> bpy.types.Scene:
+def create(scene: bpy.types.Scene) -> bpy.types.Scene:
     """A copy of the scene in the colours of the photos, with the quality that the scene's properties ask for."""
     if (earlier := find()) is not None:  # of a run that was cut off
-        close_stage(earlier)
-    stage = scene.copy()
-    stage.name = NAME
-    stage[presentation.ROLE_KEY] = STAGE_ROLE
-    apply_quality(stage)
-    render, view = stage.render, stage.view_settings
+        remove(earlier)
+    copy = scene.copy()
+    copy.name = NAME
+    copy[presentation.ROLE_KEY] = COPY_ROLE
+    apply_quality(copy)
+    render, view = copy.render, copy.view_settings
     render.use_persistent_data = True  # a film's frames share the geometry
     render.use_compositing = render.use_sequencer = render.use_border = render.use_stamp = False
     for setting in render.bl_rna.properties:  # else a picture tells the .blend's path, and so often who made it
@@ -69,47 +69,47 @@ def open_stage(scene: bpy.types.Scene) -> bpy.types.Scene:
     render.resolution_percentage, render.pixel_aspect_x, render.pixel_aspect_y = 100, 1, 1
     # As they are on the photos: other view transforms would change them.
     view.view_transform, view.look, view.exposure, view.gamma = "Standard", "None", 0, 1
-    return stage
+    return copy
 
 
 def apply_quality(scene: bpy.types.Scene) -> None:
     """Let what the scene renders, F12's pictures too, have the engine and the quality that its properties ask for."""
     present = scene.curecon.present
-    preset, render = PRESETS[present.quality], scene.render
+    quality, render = QUALITIES[present.quality], scene.render
     known = {item.identifier for item in render.bl_rna.properties["engine"].enum_items}
     render.engine = "CYCLES" if present.engine == "CYCLES" else next(name for name in EEVEES if name in known)
     if hasattr(scene, "cycles"):  # the Cycles add-on can be switched off
-        scene.cycles.samples, scene.cycles.max_bounces, scene.cycles.transparent_max_bounces = preset.samples, 4, 64
+        scene.cycles.samples, scene.cycles.max_bounces, scene.cycles.transparent_max_bounces = quality.samples, 4, 64
         # Photos' colours have no noise to be taken away, only detail.
         scene.cycles.use_denoising = scene.curecon.surface_light == "SCENE"
-    scene.eevee.taa_render_samples = preset.samples
+    scene.eevee.taa_render_samples = quality.samples
     if flight.is_move(scene.camera):
-        render.resolution_percentage = preset.film_percentage
+        render.resolution_percentage = quality.film_percentage
 
 
 def find() -> bpy.types.Scene | None:
-    """The stage that is open, if any."""
-    return next((item for item in bpy.data.scenes if item.get(presentation.ROLE_KEY) == STAGE_ROLE), None)
+    """The copy that is there, if any."""
+    return next((item for item in bpy.data.scenes if item.get(presentation.ROLE_KEY) == COPY_ROLE), None)
 
 
-def close_stage(stage: bpy.types.Scene) -> None:
+def remove(copy: bpy.types.Scene) -> None:
     """Take away the copy, with the cameras that only it has and what it changed on the surfaces."""
-    _show_both_sides(stage)
-    surface.light(stage, by_scene=stage.curecon.surface_light == "SCENE")
-    own = [item for item in stage.collection.objects if item.get(presentation.ROLE_KEY) == STAGE_ROLE]
+    _show_both_sides(copy)
+    surface.light(copy, by_scene=copy.curecon.surface_light == "SCENE")
+    own = [item for item in copy.collection.objects if item.get(presentation.ROLE_KEY) == COPY_ROLE]
     for camera in own:
         bpy.data.cameras.remove(camera.data)
-    bpy.data.scenes.remove(stage)
+    bpy.data.scenes.remove(copy)
 
 
-def set_up(stage: bpy.types.Scene, shot: Shot) -> None:
-    """Make the stage ready for a shot."""
-    render, settings = stage.render, stage.render.image_settings
-    stage.camera = bpy.data.objects[shot.camera]
+def set_up(copy: bpy.types.Scene, shot: Shot) -> None:
+    """Make the copy ready for a shot."""
+    render, settings = copy.render, copy.render.image_settings
+    copy.camera = bpy.data.objects[shot.camera]
     render.resolution_x, render.resolution_y = shot.size
     render.film_transparent = shot.clear
     render.filepath = str(shot.file)
-    stage.frame_start, stage.frame_end = 1, shot.frames
+    copy.frame_start, copy.frame_end = 1, shot.frames
     film = shot.frames > 1
     if hasattr(settings, "media_type"):  # Blender 5
         settings.media_type = "VIDEO" if film else "IMAGE"
@@ -124,27 +124,27 @@ def set_up(stage: bpy.types.Scene, shot: Shot) -> None:
 
 
 def add_still(
-    stage: bpy.types.Scene, name: str, about: site.Box, azimuth: float, height: float, steepest: float
+    copy: bpy.types.Scene, name: str, about: site.Box, azimuth: float, height: float, steepest: float
 ) -> str:
-    """A camera of the stage alone that sees all of the box; returns the object's name. See flight.look_from."""
-    camera = _own_camera(stage, flight.new_lens(name, about))
+    """A camera of the copy alone that sees all of the box; returns the object's name. See flight.look_from."""
+    camera = _own_camera(copy, flight.new_lens(name, about))
     place, rotation = flight.look_from(about, azimuth, height, steepest)
     camera.rotation_mode = "QUATERNION"
     camera.location, camera.rotation_quaternion = place, rotation
     return camera.name
 
 
-def add_orbit(stage: bpy.types.Scene, about: site.Box, path: CameraPath) -> str:
-    """A camera of the stage alone that goes along `path`; returns the object's name."""
-    camera = _own_camera(stage, flight.new_lens("Turntable", about))
+def add_orbit(copy: bpy.types.Scene, about: site.Box, path: CameraPath) -> str:
+    """A camera of the copy alone that goes along `path`; returns the object's name."""
+    camera = _own_camera(copy, flight.new_lens("Turntable", about))
     flight.animate(camera, path)
     return camera.name
 
 
 def add_square(
-    stage: bpy.types.Scene, name: str, about: site.Box, axes: np.ndarray, size: tuple[float, float]
+    copy: bpy.types.Scene, name: str, about: site.Box, axes: np.ndarray, size: tuple[float, float]
 ) -> str:
-    """An orthographic camera of the stage alone that sees just the box's depth; returns the object's name.
+    """An orthographic camera of the copy alone that sees just the box's depth; returns the object's name.
 
     `axes` (3,3) are rows: right, up and out towards the viewer; `size` is the picture's width and height in scene
     units.
@@ -153,18 +153,18 @@ def add_square(
     depth = float(np.abs(np.array([about.axis(i) for i in range(3)]) @ axes[2]) @ about.half) * 1.001
     data.type, data.sensor_fit, data.ortho_scale = "ORTHO", "HORIZONTAL", size[0]
     data.clip_start, data.clip_end = depth * 1e-4, 2 * depth
-    camera = _own_camera(stage, data)
+    camera = _own_camera(copy, data)
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = axes.T, about.centre + depth * axes[2]
     camera.matrix_world = Matrix(matrix.tolist())
     return camera.name
 
 
-def show_fronts_only(stage: bpy.types.Scene) -> None:
-    """Let nobody see through the surfaces' backs, until the stage is closed: a façade that no photo shows stays empty,
+def show_fronts_only(copy: bpy.types.Scene) -> None:
+    """Let nobody see through the surfaces' backs until the copy is taken away: a façade that no photo shows stays empty
     and is not the opposite one from within."""
-    _show_both_sides(stage)
-    for tree in _trees(stage):
+    _show_both_sides(copy)
+    for tree in _trees(copy):
         output = tree.get_output_node("ALL")
         if output is None or not output.inputs["Surface"].links:
             continue
@@ -178,8 +178,8 @@ def show_fronts_only(stage: bpy.types.Scene) -> None:
         tree.links.new(mix.outputs[0], output.inputs["Surface"])
 
 
-def _show_both_sides(stage: bpy.types.Scene) -> None:
-    for tree in _trees(stage):
+def _show_both_sides(copy: bpy.types.Scene) -> None:
+    for tree in _trees(copy):
         nodes = [tree.nodes[name] for name in FRONT_NODES if name in tree.nodes]
         if len(nodes) == len(FRONT_NODES):
             shader, target = nodes[0].inputs[1].links[0].from_socket, nodes[0].outputs[0].links[0].to_socket
@@ -188,9 +188,9 @@ def _show_both_sides(stage: bpy.types.Scene) -> None:
             tree.nodes.remove(node)
 
 
-def _trees(stage: bpy.types.Scene) -> list[bpy.types.NodeTree]:
+def _trees(copy: bpy.types.Scene) -> list[bpy.types.NodeTree]:
     """The node trees of the surfaces' materials, each once."""
-    materials = {material for item in surfaces_of(stage) for material in item.data.materials if material is not None}
+    materials = {material for item in surfaces_of(copy) for material in item.data.materials if material is not None}
     return [material.node_tree for material in materials if material.node_tree is not None]
 
 
@@ -208,8 +208,8 @@ def read_pixels(file: Path) -> np.ndarray:
     return np.rint(255 * (values[::-1, :, :3] * alpha + 1 - alpha)).astype(np.uint8)
 
 
-def _own_camera(stage: bpy.types.Scene, data: bpy.types.Camera) -> bpy.types.Object:
+def _own_camera(copy: bpy.types.Scene, data: bpy.types.Camera) -> bpy.types.Object:
     camera = bpy.data.objects.new(data.name, data)
-    camera[presentation.ROLE_KEY] = STAGE_ROLE
-    stage.collection.objects.link(camera)
+    camera[presentation.ROLE_KEY] = COPY_ROLE
+    copy.collection.objects.link(camera)
     return camera
