@@ -10,8 +10,7 @@ import bpy
 import numpy as np
 from bpy.app.translations import pgettext_rpt as rpt_
 
-from ..core.site import adjustment as alignment
-from ..core.site.adjustment import FrameError
+from ..core.site.adjustment import FrameError, with_ground
 from ..scene import frame, site
 from .picking import PickingOperator
 
@@ -29,7 +28,7 @@ class CURECON_OT_frame_ground(PickingOperator, bpy.types.Operator):
             raise FrameError("This part of the site has no cloud.", remedy="Reconstruct its photos to the end first.")
         before = part.adjustment
         height = site.ground(part.clouds[0], np.array(part.moved) @ before.matrix)
-        after = alignment.with_ground(before, height / part.moved.median_scale, when=datetime.now())
+        after = with_ground(before, height / part.moved.median_scale, when=datetime.now())
         frame.adjust(context.scene, part, after)
         return rpt_("The ground lay at Z = {:.2f} and is at Z = 0 now.").format(round(height, 2) + 0.0)  # no -0.00
 

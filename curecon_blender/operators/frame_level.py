@@ -14,7 +14,7 @@ import numpy as np
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import EnumProperty
 
-from ..core.site import adjustment as alignment
+from ..core.site.adjustment import angle_between, with_level
 from ..scene import frame
 from .picking import PickingOperator, place_property
 
@@ -42,12 +42,12 @@ class CURECON_OT_frame_level(PickingOperator, bpy.types.Operator):
     def apply(self, context: bpy.types.Context, places: list[np.ndarray]) -> str:
         part = frame.part_at(context.scene, places[0])
         before = part.adjustment
-        after = alignment.with_level(
+        after = with_level(
             before, np.stack([part.local(place) for place in places]), wall=self.plane == "WALL",
             above=part.local(part.above), when=datetime.now(),
         )
         frame.adjust(context.scene, part, after)
-        return rpt_("The site is tilted by {:.2f}°.").format(alignment.angle_between(before, after))
+        return rpt_("The site is tilted by {:.2f}°.").format(angle_between(before, after))
 
 
 CLASSES = (CURECON_OT_frame_level,)

@@ -14,7 +14,7 @@ import numpy as np
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import BoolProperty, FloatProperty
 
-from ..core.site import adjustment as alignment
+from ..core.site.adjustment import angle_between, with_bearing, with_turn
 from ..scene import frame
 from .picking import PickingOperator, place_property
 
@@ -46,9 +46,9 @@ turned until Y is north"""
         part = frame.part_at(context.scene, places[0])
         first, second = (part.local(place) for place in places)
         before = part.adjustment
-        after = alignment.with_bearing(before, first, second, self.bearing, when=datetime.now())
+        after = with_bearing(before, first, second, self.bearing, when=datetime.now())
         frame.adjust(context.scene, part, after)
-        return rpt_("The site is turned by {:.2f}°: Y is north.").format(alignment.angle_between(before, after))
+        return rpt_("The site is turned by {:.2f}°: Y is north.").format(angle_between(before, after))
 
 
 class CURECON_OT_frame_turn(PickingOperator, bpy.types.Operator):
@@ -76,7 +76,7 @@ class CURECON_OT_frame_turn(PickingOperator, bpy.types.Operator):
 
     def apply(self, context: bpy.types.Context, places: list[np.ndarray]) -> str:
         part = frame.part_of(context)
-        after = alignment.with_turn(part.adjustment, self.turn, north=self.is_north, when=datetime.now())
+        after = with_turn(part.adjustment, self.turn, north=self.is_north, when=datetime.now())
         frame.adjust(context.scene, part, after)
         return rpt_("The site is turned by {:.1f}°.").format(self.turn)
 

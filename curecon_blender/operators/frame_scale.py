@@ -14,7 +14,7 @@ import numpy as np
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import FloatProperty
 
-from ..core.site import adjustment as alignment
+from ..core.site.adjustment import with_length
 from ..scene import frame, measurements
 from .picking import PickingOperator, place_property
 
@@ -58,7 +58,7 @@ class CURECON_OT_frame_scale(PickingOperator, bpy.types.Operator):
         found = float(np.linalg.norm(places[1] - places[0]))
         # The picks' own deviation, which is in units of the scale so far, in metres.
         picks = measurements.spread(part, *places) * self.length / max(found, 1e-9)
-        after = alignment.with_length(
+        after = with_length(
             before, first, second, self.length, sigma=float(np.hypot(self.known_to, picks)), when=datetime.now(),
         )
         frame.adjust(context.scene, part, after)

@@ -7,7 +7,7 @@ from __future__ import annotations
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from ..core.site import adjustment as alignment
+from ..core.site.adjustment import LEVEL, NORTH, describe
 from ..scene import frame, measurements
 from .layout import Panel, paragraph
 
@@ -31,18 +31,18 @@ class CURECON_PT_frame(Panel, bpy.types.Panel):
         if part.scale_source:
             scale = iface_("True scale from {}").format(iface_(part.scale_source))
         paragraph(box, context, scale, icon="DRIVER_DISTANCE" if part.scale_source else "ERROR")
-        level = adjustment.of(alignment.LEVEL)
+        level = adjustment.of(LEVEL)
         if level is not None:
             up = iface_("Level from {}").format(iface_(level.how))
         else:
             up = {"gps": "Level by GPS", "gravity": "Level as the cameras were held",
                   "given": "Up as the model has it"}[known.up]
         paragraph(box, context, up, icon="EMPTY_SINGLE_ARROW")
-        turn = adjustment.of(alignment.NORTH)
+        turn = adjustment.of(NORTH)
         if known.north:
             north = "Y is north"
             if turn is not None:
-                north = iface_("Y is north from {}").format(iface_(alignment.describe(turn)))
+                north = iface_("Y is north from {}").format(iface_(describe(turn)))
         else:
             north = "North unknown"
         paragraph(box, context, north, icon="ORIENTATION_GLOBAL" if known.north else "QUESTION")

@@ -18,7 +18,7 @@ from mathutils import Matrix, Vector
 
 from ..core.base.reading import build, parse_json
 from ..core.base.records import Component, Frame
-from ..core.site import adjustment as alignment
+from ..core.site import adjustment as adjustments
 from ..core.site.adjustment import Adjustment
 from . import points, surface
 
@@ -46,22 +46,22 @@ class Part:
 
     @property
     def adjustment(self) -> Adjustment:
-        return alignment.from_json(self.collection[ADJUSTMENT_KEY])
+        return adjustments.from_json(self.collection[ADJUSTMENT_KEY])
 
     @property
     def frame(self) -> Frame:
         """What is known of the part as it stands in the scene."""
-        return alignment.adjusted_frame(self.reconstructed, self.adjustment)
+        return adjustments.adjusted_frame(self.reconstructed, self.adjustment)
 
     @property
     def scale_source(self) -> str:
         """What the true scale rests on, in words; empty when the scale is unknown."""
-        return alignment.scale_source(self.reconstructed, self.adjustment)
+        return adjustments.scale_source(self.reconstructed, self.adjustment)
 
     @property
     def scale_sigma(self) -> float | None:
         """Relative standard deviation of the scale; None when nothing tells it."""
-        step = self.adjustment.of(alignment.SCALE)
+        step = self.adjustment.of(adjustments.SCALE)
         sigma: float | None = self.collection.get(GPS_SIGMA_KEY) if step is None else step.sigma
         return sigma
 
@@ -135,7 +135,7 @@ def set_up(collection: bpy.types.Collection, component: Component, workspace: Pa
     collection[FRAME_KEY] = json.dumps(asdict(component.frame))
     collection[FOLDER_KEY] = str(workspace / component.sparse)
     centres = np.array([view.centre for view in component.views]).reshape(-1, 3)
-    if (sigma := alignment.gps_scale_sigma(component.frame, centres)) is not None:
+    if (sigma := adjustments.gps_scale_sigma(component.frame, centres)) is not None:
         collection[GPS_SIGMA_KEY] = sigma
     _put(collection, adjustment)
     for item in list(collection.all_objects):
@@ -148,8 +148,8 @@ def adjust(scene: bpy.types.Scene, part: Part, adjustment: Adjustment) -> None:
     Everything in the part's collection moves, the region box with the first part, and the part's measured distances.
     Raises WorkspaceError, before anything has moved, when the workspace cannot be written.
     """
-    alignment.write(part.folder, adjustment)
-    _written[str(part.folder)] = alignment.to_json(adjustment)
+    adjustments.write(part.folder, adjustment)
+    _written[str(part.folder)] = adjustments.to_json(adjustment)
     before, moved, first = part.adjustment, part.moved, parts_of(scene)[0] == part
     step = moved @ Matrix((adjustment.matrix @ np.linalg.inv(before.matrix)).tolist()) @ moved.inverted()
     _put(part.collection, adjustment)
@@ -197,14 +197,14 @@ def keep_up(scene: bpy.types.Scene) -> None:
     for part in parts_of(scene):
         folder, text = str(part.folder), part.collection[ADJUSTMENT_KEY]
         if _written.get(folder, text) != text:
-            alignment.write(part.folder, part.adjustment)
+            adjustments.write(part.folder, part.adjustment)
             _written[folder] = text
 
 
 def _put(collection: bpy.types.Collection, adjustment: Adjustment) -> None:
     """Write the adjustment on a part, and what is then known of its frame also on its surfaces, which keep it when they
     are exported on their own."""
-    collection[ADJUSTMENT_KEY] = alignment.to_json(adjustment)
+    collection[ADJUSTMENT_KEY] = adjustments.to_json(adjustment)
     part = Part(collection)
     frame = part.frame
     known = {"scale": frame.scale, "scale_source": part.scale_source or None, "up": frame.up, "north": frame.north,

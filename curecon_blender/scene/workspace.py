@@ -16,10 +16,10 @@ from ..core.base.records import Component
 from ..core.cloud.edits import is_stale, read_removed
 from ..core.cloud.ply import read_cloud
 from ..core.run.workspace import refuse_links
-from ..core.site import adjustment as alignment
 from ..core.site.adjustment import Adjustment
+from ..core.site.adjustment import read as read_adjustment
 from ..core.surface.mesh import Mesh, filled_share, mesh_file, read_mesh, textured_folder
-from ..core.views import record as components
+from ..core.views.record import read as read_components
 from . import backdrop, cameras, cloud_edits, display, frame, new_file, points, surface
 
 WORKSPACE_KEY = "curecon_workspace"  # on the collection: the workspace it was imported from
@@ -84,7 +84,7 @@ def read(folder: Path) -> Content:
     folder = folder.resolve()
     refuse_links(folder)
     parts, meshes = [], []
-    for component in components.read(folder):
+    for component in read_components(folder):
         file = folder / component.cloud
         cloud = read_cloud(file) if file.is_file() else None
         removed = read_removed(file, len(cloud)) if cloud is not None else None
@@ -92,7 +92,7 @@ def read(folder: Path) -> Content:
         if found is not None:
             meshes.append(found[0])
         parts.append(PartContent(
-            component=component, adjustment=alignment.read(folder / component.sparse),
+            component=component, adjustment=read_adjustment(folder / component.sparse),
             cloud=points.arrays(cloud) if cloud is not None else None,
             removed=removed[points.file_order(len(removed))] if removed is not None else None,
             surface=surface.arrays(*found) if found is not None else None,

@@ -12,7 +12,7 @@ import numpy as np
 from curecon_blender.core.base.records import Component, Frame, GeoPosition, Photo, PhotoSet, View
 from curecon_blender.core.cloud.ply import Cloud, CloudWriter
 from curecon_blender.core.photos.record import write_photos
-from curecon_blender.core.views import record as components
+from curecon_blender.core.views.record import write as write_components
 
 POINTS = 2000
 SIZE = (64, 48)  # pixels of the pictures
@@ -79,4 +79,4 @@ def write(folder: Path, *, parts: int = 1, scale: str = "metres", placed: bool =
         ))
         with CloudWriter(folder / made[-1].cloud) as writer:
             writer.write(cloud())
-    components.write(folder, made)
+    write_components(folder, made)
