@@ -231,7 +231,7 @@ def main() -> None:
     from curecon_blender.scene import display, history, viewport
 
     heart = Heart()  # listens before Blender is given the functions
-    heart.listen(running.StepsOperator, "_go_on", lambda: running.status.task)
+    heart.listen(running.ModalOperator, "_go_on", lambda: running.status.task)
     for holder, name in ((viewport._Upload, "go_on"), (viewport, "_let_nodes_show"), (display, "apply"),
                          (display, "measure_range"), (history, "_follow")):
         heart.listen(holder, name)

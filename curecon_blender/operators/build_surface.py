@@ -13,16 +13,16 @@ from ..core.base.options import SURFACE, arguments
 from ..scene import region
 from ..scene.surface import surfaces_of
 from ..scene.workspace import clouds_of
-from . import places, running
+from . import paths, running
 from .import_workspace import bring_in
 from .job_options import surface_options
-from .running import Steps, WorkerOperator
+from .running import Work, WorkerOperator
 
 
 class _SurfaceOperator(WorkerOperator):
     """Works in the workspace that the scene's cloud came from."""
 
-    step = "surface"
+    panel = "surface"
     until = ""
 
     @classmethod
@@ -39,15 +39,15 @@ class _SurfaceOperator(WorkerOperator):
         return True
 
     def workspace(self, context: bpy.types.Context) -> Path | None:
-        return places.absolute(context.scene.curecon.result.workspace)
+        return paths.absolute(context.scene.curecon.result.workspace)
 
     def arguments(self, context: bpy.types.Context) -> list[str]:
-        folder = places.absolute(context.scene.curecon.result.workspace)
+        folder = paths.absolute(context.scene.curecon.result.workspace)
         return arguments(surface_options(context.scene, folder, until=self.until), SURFACE)
 
-    def done(self, context: bpy.types.Context, scene: bpy.types.Scene, summary: dict[str, Any]) -> Steps:
+    def done(self, context: bpy.types.Context, scene: bpy.types.Scene, summary: dict[str, Any]) -> Work:
         result = scene.curecon.result
-        return bring_in(context, scene, places.absolute(result.workspace), photos=result.photos, frame=False)
+        return bring_in(context, scene, paths.absolute(result.workspace), photos=result.photos, show=False)
 
 
 class CURECON_OT_build_mesh(_SurfaceOperator, bpy.types.Operator):
@@ -85,7 +85,7 @@ class CURECON_OT_add_region(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return places.site_stands(cls, context)
+        return paths.site_stands(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         around = [*clouds_of(context.scene), *surfaces_of(context.scene)][0]

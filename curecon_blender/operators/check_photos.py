@@ -18,7 +18,7 @@ from .. import thumbnails
 from ..core.base.errors import PhotoError
 from ..core.base.options import CHECK, arguments
 from ..scene import pictures
-from . import places, running
+from . import paths, running
 from .job_options import job_options
 from .running import WorkerOperator
 
@@ -30,11 +30,11 @@ class CURECON_OT_check_photos(WorkerOperator, bpy.types.Operator):
     bl_label = "Check Photos"
 
     task = "Checking photos"
-    step = "photos"
+    panel = "photos"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return running.idle(cls) and places.photos_chosen(cls, context)
+        return running.idle(cls) and paths.photos_chosen(cls, context)
 
     def arguments(self, context: bpy.types.Context) -> list[str]:
         thumbnails.clear()
@@ -93,7 +93,7 @@ class CURECON_OT_open_photo(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         try:
-            pictures.show(context, places.absolute(self.path))
+            pictures.show(context, paths.absolute(self.path))
         except PhotoError as error:
             self.report({"ERROR"}, running.explain(error))
             return {"CANCELLED"}

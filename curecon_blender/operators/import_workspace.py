@@ -18,19 +18,19 @@ from bpy.props import BoolProperty, StringProperty
 from ..scene import cameras, history, points, surface, viewport, workspace
 from ..scene.surface import surfaces_of
 from ..scene.workspace import Imported, clouds_of
-from . import places, running
-from .running import Steps, StepsOperator
+from . import paths, running
+from .running import ModalOperator, Work
 
 EASY_POINTS = 10_000_000  # what a viewport shows without trouble
 
 
 def bring_in(
-    context: bpy.types.Context, scene: bpy.types.Scene, folder: Path, *, photos: int = 0, frame: bool = True
-) -> Steps:
-    """Import the workspace, fill the Result panel and, with `frame`, turn the viewports to what came; returns a report.
+    context: bpy.types.Context, scene: bpy.types.Scene, folder: Path, *, photos: int = 0, show: bool = True
+) -> Work:
+    """Import the workspace, fill the Result panel and, with `show`, turn the viewports to what came; returns a report.
 
-    `photos` is how many were given to the job, 0 when unknown. Nothing is in the scene until the last step, so that one
-    undo takes all of it back. Raises WorkspaceError.
+    `photos` is how many were given to the job, 0 when unknown. Nothing is in the scene until the last slice, so that
+    one undo takes all of it back. Raises WorkspaceError.
     """
     session_uid, pack = scene.session_uid, scene.curecon.pack_textures
     yield "Reading the workspace"
@@ -48,11 +48,11 @@ def bring_in(
                     yield next(building)
             except StopIteration as end:
                 return _show(
-                    context, running.scene_with(session_uid), folder, end.value, photos=photos, frame=frame)
+                    context, running.scene_with(session_uid), folder, end.value, photos=photos, show=show)
 
 
 def _show(
-    context: bpy.types.Context, scene: bpy.types.Scene, folder: Path, imported: Imported, *, photos: int, frame: bool
+    context: bpy.types.Context, scene: bpy.types.Scene, folder: Path, imported: Imported, *, photos: int, show: bool
 ) -> str:
     """Tell of an import in the Result panel, and let the scene show it; returns the report."""
     properties, result = scene.curecon, scene.curecon.result
@@ -67,8 +67,8 @@ def _show(
     if imported.surfaces:
         viewport.show_texture(context, textured=imported.textured)
         viewport.light(context, properties.surface_light == "SCENE")
-    if frame and imported.bounds is not None:
-        viewport.frame(context, imported.bounds)
+    if show and imported.bounds is not None:
+        viewport.turn_to(context, imported.bounds)
     if imported.surfaces:
         said = rpt_("{:,} points, {:,} faces and {:,} cameras are in the scene.").format(
             imported.points, imported.faces, len(imported.cameras))
@@ -85,7 +85,7 @@ def _show(
     return " ".join(sentences)
 
 
-class CURECON_OT_import_workspace(StepsOperator, bpy.types.Operator):
+class CURECON_OT_import_workspace(ModalOperator, bpy.types.Operator):
     """Bring the cameras, the point cloud and the surface of an existing workspace folder into the scene"""
 
     bl_idname = "curecon.import_workspace"
@@ -103,7 +103,7 @@ class CURECON_OT_import_workspace(StepsOperator, bpy.types.Operator):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if self.directory:  # a caller's own
-            return StepsOperator.invoke(self, context, event)
+            return ModalOperator.invoke(self, context, event)
         self.directory = context.scene.curecon.workspace
         self._browsing = True
         context.window_manager.fileselect_add(self)
@@ -112,11 +112,11 @@ class CURECON_OT_import_workspace(StepsOperator, bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         if getattr(self, "_browsing", False) and not bpy.app.background:  # back from the file browser
             self._browsing = False
-            return StepsOperator.invoke(self, context, None)
-        return StepsOperator.execute(self, context)
+            return ModalOperator.invoke(self, context, None)
+        return ModalOperator.execute(self, context)
 
-    def work(self, context: bpy.types.Context) -> Steps:
-        return bring_in(context, context.scene, places.absolute(self.directory))
+    def work(self, context: bpy.types.Context) -> Work:
+        return bring_in(context, context.scene, paths.absolute(self.directory))
 
 
 class CURECON_OT_frame_cloud(bpy.types.Operator):
@@ -127,12 +127,12 @@ class CURECON_OT_frame_cloud(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return places.site_stands(cls, context)
+        return paths.site_stands(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         item = [*surfaces_of(context.scene), *clouds_of(context.scene)][0]
         if (bounds := points.bounds(points.subject(item))) is not None:
-            viewport.frame(context, bounds)
+            viewport.turn_to(context, bounds)
         return {"FINISHED"}
 
 

@@ -15,18 +15,18 @@ from ..preferences import settings
 from ..scene import region
 from ..scene.surface import surfaces_of
 from ..scene.workspace import clouds_of, in_workspace
-from . import places
+from . import paths
 
 
 def job_options(context: bpy.types.Context, *, until: str) -> Options:
     """From the scene's photos to the stage `until`. Raises PhotoError without photos, SurfaceError as below."""
     properties, chosen = context.scene.curecon, settings(context)
-    workspace = places.workspace_folder(context, context.scene)
+    workspace = paths.workspace_folder(context, context.scene)
     return Options(
-        photos=places.photos_folder(context.scene), workspace=workspace, until=until, quality=properties.quality,
-        model=places.absolute(properties.model) if properties.model else None,
+        photos=paths.photos_folder(context.scene), workspace=workspace, until=until, quality=properties.quality,
+        model=paths.absolute(properties.model) if properties.model else None,
         max_image_size=properties.max_image_size or None, views=properties.views or None,
-        speeds=places.speeds_file(), memory_gib=chosen.memory_gib, device=chosen.device, scheduler=chosen.scheduler,
+        speeds=paths.speeds_file(), memory_gib=chosen.memory_gib, device=chosen.device, scheduler=chosen.scheduler,
         **_of_surface(context.scene, workspace) if until in SURFACE_STAGES else {},
     )
 

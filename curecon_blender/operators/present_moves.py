@@ -14,7 +14,7 @@ from bpy.props import EnumProperty
 from ..core.base.errors import CuReconError, WorkspaceError
 from ..core.photos import capture
 from ..scene import cameras, flight, render_scene, site
-from . import places, running
+from . import paths, running
 
 KINDS = (
     ("ORBIT", "Orbit", "Once around the building or the region box, in a loop"),
@@ -40,12 +40,12 @@ Made again, it takes the place of the earlier one"""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return places.site_stands(cls, context)
+        return paths.site_stands(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         scene = context.scene
         try:
-            times = capture.read_times(places.absolute(site.workspace(scene)))
+            times = capture.read_times(paths.absolute(site.workspace(scene)))
         except WorkspaceError as error:
             times = {}
             if self.kind == "FLIGHT":

@@ -14,7 +14,7 @@ from bpy.props import EnumProperty
 from ..core.base.errors import WorkspaceError
 from ..core.photos import capture
 from ..scene import cameras, flight, render_scene, site
-from . import places
+from . import paths
 
 WHICH = (
     ("NEXT", "Next", "Look through the next photo's camera, in order of capture, with the photo laid over the scene"),
@@ -58,15 +58,15 @@ class CURECON_OT_look_through(bpy.types.Operator):
     def _beside(self, scene: bpy.types.Scene) -> bpy.types.Object:
         """The camera after or before the scene's own in order of capture, around both ends."""
         try:
-            times = capture.read_times(places.absolute(site.workspace(scene)))
+            times = capture.read_times(paths.absolute(site.workspace(scene)))
         except WorkspaceError as error:
             times = {}
             said = rpt_("{} The photos are gone through in order of their names.")
             self.report({"WARNING"}, said.format(error.message))
-        found, step = flight.in_order(scene, times), 1 if self.which == "NEXT" else -1
+        found, offset = flight.in_order(scene, times), 1 if self.which == "NEXT" else -1
         if scene.camera in found:
-            return found[(found.index(scene.camera) + step) % len(found)]
-        return found[0 if step > 0 else -1]
+            return found[(found.index(scene.camera) + offset) % len(found)]
+        return found[0 if offset > 0 else -1]
 
 
 CLASSES = (CURECON_OT_look_through,)

@@ -14,7 +14,7 @@ from ..core.base.errors import CuReconError, WorkspaceError
 from ..core.photos import capture
 from ..core.present import sun
 from ..scene import daylight, render_scene, site
-from . import places, running
+from . import paths, running
 
 
 class CURECON_OT_set_sun(bpy.types.Operator):
@@ -28,7 +28,7 @@ Press again after a change of the settings"""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return places.site_stands(cls, context)
+        return paths.site_stands(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         try:
@@ -64,7 +64,7 @@ def _set_sun(scene: bpy.types.Scene) -> tuple[str, str]:
     """Returns the report's level and its words. Raises CuReconError."""
     properties = scene.curecon
     present, known = properties.present, site.known(scene)
-    times = capture.read_times(places.absolute(site.workspace(scene)))
+    times = capture.read_times(paths.absolute(site.workspace(scene)))
     if not times:
         raise WorkspaceError(
             "No photo says when it was taken.", remedy="Add a Sun lamp by hand (Add > Light > Sun).",

@@ -16,10 +16,10 @@ from bpy.props import BoolProperty, StringProperty
 
 from ..core.base.errors import SparseError
 from ..core.base.options import RUN, arguments
-from . import places, running
+from . import paths, running
 from .import_workspace import bring_in
 from .job_options import job_options
-from .running import Steps, WorkerOperator
+from .running import Work, WorkerOperator
 
 
 class CURECON_OT_reconstruct(WorkerOperator, bpy.types.Operator):
@@ -35,16 +35,16 @@ A cancelled or broken run goes on where it stopped"""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return running.idle(cls) and places.photos_chosen(cls, context)
+        return running.idle(cls) and paths.photos_chosen(cls, context)
 
     def workspace(self, context: bpy.types.Context) -> Path | None:
-        return places.workspace_folder(context, context.scene)
+        return paths.workspace_folder(context, context.scene)
 
     def arguments(self, context: bpy.types.Context) -> list[str]:
         return arguments(job_options(context, until=context.scene.curecon.goal), RUN)
 
-    def done(self, context: bpy.types.Context, scene: bpy.types.Scene, summary: dict[str, Any]) -> Steps:
-        return bring_in(context, scene, places.workspace_folder(context, scene), photos=summary["photos"])
+    def done(self, context: bpy.types.Context, scene: bpy.types.Scene, summary: dict[str, Any]) -> Work:
+        return bring_in(context, scene, paths.workspace_folder(context, scene), photos=summary["photos"])
 
 
 class CURECON_OT_import_model(WorkerOperator, bpy.types.Operator):
@@ -84,7 +84,7 @@ class CURECON_OT_import_model(WorkerOperator, bpy.types.Operator):
         return WorkerOperator.execute(self, context)
 
     def workspace(self, context: bpy.types.Context) -> Path | None:
-        return places.workspace_folder(context, context.scene)
+        return paths.workspace_folder(context, context.scene)
 
     def arguments(self, context: bpy.types.Context) -> list[str]:
         folder = Path(bpy.path.abspath(self.directory))
@@ -99,8 +99,8 @@ class CURECON_OT_import_model(WorkerOperator, bpy.types.Operator):
         properties.model = str(folder)
         return arguments(job_options(context, until="views"), RUN)
 
-    def done(self, context: bpy.types.Context, scene: bpy.types.Scene, summary: dict[str, Any]) -> Steps:
-        return bring_in(context, scene, places.workspace_folder(context, scene), photos=summary["photos"])
+    def done(self, context: bpy.types.Context, scene: bpy.types.Scene, summary: dict[str, Any]) -> Work:
+        return bring_in(context, scene, paths.workspace_folder(context, scene), photos=summary["photos"])
 
 
 class CURECON_OT_cancel(bpy.types.Operator):

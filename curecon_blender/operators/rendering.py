@@ -14,7 +14,7 @@ import bpy
 from ..core.base.errors import CuReconError, WorkspaceError
 from ..core.base.files import disk_errors
 from ..scene import render_scene, site
-from . import places, running
+from . import paths, running
 
 POLL_SECONDS = 0.2
 
@@ -35,12 +35,12 @@ progress = Progress()
 def folder_of(scene: bpy.types.Scene) -> Path:
     """Where the presentation's files go: the chosen folder, else one in the workspace."""
     chosen = scene.curecon.present.folder
-    return places.absolute(chosen) if chosen else places.absolute(site.workspace(scene)) / "presentation"
+    return paths.absolute(chosen) if chosen else paths.absolute(site.workspace(scene)) / "presentation"
 
 
 def title_of(scene: bpy.types.Scene) -> str:
     """What the sheets are headed with: the chosen title, else the workspace's name."""
-    name = places.absolute(site.workspace(scene)).name.removesuffix("_curecon")
+    name = paths.absolute(site.workspace(scene)).name.removesuffix("_curecon")
     return scene.curecon.present.title or name.replace("_", " ")
 
 
@@ -63,7 +63,7 @@ class RenderSeries:
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if not places.site_stands(cls, context):
+        if not paths.site_stands(cls, context):
             return False
         if progress.running or bpy.app.is_job_running("RENDER"):
             cls.poll_message_set("Blender is rendering")

@@ -20,11 +20,11 @@ from ..job import Job, Status, duration
 from ..preferences import settings
 
 POLL_SECONDS = 0.05
-STEP_SECONDS = 0.002  # a timer tick begins steps for so long: a long one is alone, since 0.1 seems to hang
+SLICE_SECONDS = 0.002  # a timer tick begins slices for so long: a long one is alone, since 0.1 seems to hang
 REDRAW_SECONDS = 1.0
-# Work in steps of a few milliseconds: each says what is being done, or is None where there is nothing to do but wait.
+# Work in slices of a few milliseconds: each says what is being done, or is None where there is nothing to do but wait.
 # Returns the report for the user.
-Steps = Generator[str | None, None, str]
+Work = Generator[str | None, None, str]
 STAGE_NAMES = {
     "photos": "Photos", "sparse": "Cameras", "views": "Undistorted photos", "depth": "Depth maps",
     "fusion": "Point cloud", "mesh": "Mesh", "texture": "Texture",
@@ -32,7 +32,7 @@ STAGE_NAMES = {
 
 status = Status()
 # The panel that the job was started from, which shows its progress: "photos", "reconstruct", "surface", "preferences".
-step = ""
+panel = ""
 _job: Job | None = None
 
 
@@ -105,21 +105,21 @@ def explain(error: CuReconError | Failure) -> str:
     return f"{error.message} {error.remedy}"
 
 
-class StepsOperator:
-    """Works in steps: as many as fit into a moment at each timer tick in a window, and to the end at once in background
-    Blender and when a script calls it.
+class ModalOperator:
+    """Works in slices: as many as fit into a moment at each timer tick in a window, and to the end at once in
+    background Blender and when a script calls it.
 
-    A subclass gives `work`. What it raises of CuReconError is reported with its remedy, and shown in the panel `step`.
+    A subclass gives `work`. What it raises of CuReconError is reported with its remedy, and shown in the panel `panel`.
     """
 
     task = ""
-    step = "reconstruct"
-    work: Callable[[bpy.types.Context], Steps]
+    panel = "reconstruct"
+    work: Callable[[bpy.types.Context], Work]
     # Blender's, of the operator that this is mixed into:
     report: Callable[[set[str], str], None]
     poll_message_set: Callable[..., None]
     _timer: bpy.types.Timer | None = None
-    _steps: Steps
+    _slices: Work
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -135,7 +135,7 @@ class StepsOperator:
         if bpy.app.background or context.window is None:
             return self.execute(context)
         self._begin(context)
-        if (ended := self._go_on(STEP_SECONDS)) is not None:
+        if (ended := self._go_on(SLICE_SECONDS)) is not None:
             return ended
         self._timer = context.window_manager.event_timer_add(POLL_SECONDS, window=context.window)
         context.window_manager.modal_handler_add(self)
@@ -148,7 +148,7 @@ class StepsOperator:
             return {"RUNNING_MODAL"}
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
-        ended = self._go_on(STEP_SECONDS)
+        ended = self._go_on(SLICE_SECONDS)
         if ended is not None or time.monotonic() - self._redrawn > REDRAW_SECONDS:
             self._redrawn = time.monotonic()
             redraw_panels(context)
@@ -161,25 +161,25 @@ class StepsOperator:
     def cancel(self, context: bpy.types.Context) -> None:
         """Blender ends the operator itself when another file is loaded or it quits."""
         close()
-        self._steps.close()
+        self._slices.close()
         if self._timer is not None:
             context.window_manager.event_timer_remove(self._timer)
 
     def _begin(self, context: bpy.types.Context) -> None:
-        global status, step
-        self._scene_uid, step = context.scene.session_uid, self.step
+        global status, panel
+        self._scene_uid, panel = context.scene.session_uid, self.panel
         status = Status(task=self.task, running=True)
-        self._steps = self.work(context)
+        self._slices = self.work(context)
 
     def _go_on(self, seconds: float) -> set[str] | None:
-        """Begin steps for so long; returns what the operator ends with, None while there is more to do."""
+        """Begin slices for so long; returns what the operator ends with, None while there is more to do."""
         deadline, said = time.monotonic() + seconds, ""
         try:
             while time.monotonic() < deadline:
                 if status.cancelling and _job is None:  # a worker would tell of its end itself
-                    self._steps.close()
+                    self._slices.close()
                     raise Cancelled
-                if (doing := next(self._steps)) is None:
+                if (doing := next(self._slices)) is None:
                     return None
                 status.task = doing
             return None
@@ -199,21 +199,21 @@ class StepsOperator:
         return {"FINISHED"}
 
 
-class WorkerOperator(StepsOperator):
+class WorkerOperator(ModalOperator):
     """Runs a worker and takes in what it found.
 
     A subclass gives `task`, `arguments` and `done`; the latter two may raise CuReconError. `done` takes in the worker's
-    result and returns the report for the user, or the steps to it.
+    result and returns the report for the user, or the work that leads to it.
     """
 
     arguments: Callable[[bpy.types.Context], list[str]]
-    done: Callable[[bpy.types.Context, bpy.types.Scene, dict[str, Any]], str | Steps]
+    done: Callable[[bpy.types.Context, bpy.types.Scene, dict[str, Any]], str | Work]
 
     def workspace(self, context: bpy.types.Context) -> Path | None:
         """The job's workspace folder, if it has one."""
         return None
 
-    def work(self, context: bpy.types.Context) -> Steps:
+    def work(self, context: bpy.types.Context) -> Work:
         start(context, self.task, self.arguments(context), self.workspace(context))
         while not poll():
             yield None

@@ -16,7 +16,7 @@ from ..preferences import settings
 from . import running
 from .running import WorkerOperator
 
-STEP = "preferences"
+PANEL = "preferences"
 
 
 class CURECON_OT_self_check(WorkerOperator, bpy.types.Operator):
@@ -27,7 +27,7 @@ do the work, and what to do if not"""
     bl_label = "Check Installation"
 
     task = "Checking the installation"
-    step = STEP
+    panel = PANEL
 
     def arguments(self, context: bpy.types.Context) -> list[str]:
         return ["self-check", "--device", settings(context).device]
@@ -60,7 +60,7 @@ def diagnostics(context: bpy.types.Context) -> str:
         f"Memory budget: {'automatic' if chosen.memory_gib is None else f'{chosen.memory_gib} GiB'}",
     ]
     status = running.status
-    if running.step != STEP or status.running:
+    if running.panel != PANEL or status.running:
         lines.append("The installation has not been checked: press Check Installation first.")
     elif status.failure is not None:
         lines += [f"Check failed ({status.failure.kind}): {status.failure.message}", status.failure.remedy]

@@ -33,7 +33,7 @@ class CURECON_PT_photos(Panel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, properties, status = self.layout, context.scene.curecon, running.status
-        ours = running.step == "photos"
+        ours = running.panel == "photos"
         if not properties.photos:
             action(layout, "curecon.choose_photos", text="Choose Photos", icon="FILE_FOLDER")
             paragraph(layout, context, "Or drop photos on the viewport: their whole folder is taken.")

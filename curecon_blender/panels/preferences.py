@@ -11,7 +11,7 @@ import bpy
 from bpy.props import EnumProperty, FloatProperty, StringProperty
 
 from ..operators import running
-from ..operators.self_check import STEP, described
+from ..operators.self_check import PANEL, described
 from ..preferences import ADDON
 from .layout import draw_progress, paragraph
 
@@ -67,7 +67,7 @@ def _draw_self_check(layout: bpy.types.UILayout, context: bpy.types.Context) -> 
     row.operator("curecon.self_check", icon="CHECKMARK")
     row.operator("curecon.copy_diagnostics", icon="COPYDOWN")
     status = running.status
-    if running.step != STEP:
+    if running.panel != PANEL:
         return
     if status.running:
         draw_progress(layout, status)

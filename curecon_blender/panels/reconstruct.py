@@ -33,7 +33,7 @@ class CURECON_PT_reconstruct(Panel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, properties, status = self.layout, context.scene.curecon, running.status
-        ours = running.step == "reconstruct"
+        ours = running.panel == "reconstruct"
         if status.running and ours:
             draw_progress(layout, status)
         elif not properties.photos:

@@ -28,11 +28,11 @@ class CURECON_PT_surface(Panel, bpy.types.Panel):
         else:
             paragraph(layout, context, "None yet. A mesh closes the cloud to a surface; the texture paints it with "
                       "the photos.")
-        if status.running and running.step == "surface":
+        if status.running and running.panel == "surface":
             draw_progress(layout, status)
         else:
             self._draw_actions(result, bool(found))
-        if running.step == "surface":
+        if running.panel == "surface":
             draw_outcome(layout, context, status)
         if found:
             row = layout.row(align=True)

@@ -62,7 +62,7 @@ def arrays(cloud: Cloud) -> CloudArrays:
 
 
 def build(content: CloudArrays, name: str, collection: bpy.types.Collection) -> Generator[str, None, bpy.types.Object]:
-    """Link a PointCloud object into `collection`, an attribute a step; returns it.
+    """Link a PointCloud object into `collection`, an attribute a slice; returns it.
 
     The attributes are position, radius, Color, confidence, views and normal.
     """
@@ -90,7 +90,7 @@ def fill(
     data: bpy.types.PointCloud | bpy.types.Mesh, doing: str,
     attributes: Iterable[tuple[str, str, str, str, np.ndarray]],
 ) -> Generator[str, None, None]:
-    """Give attributes their values in steps that say what is done: each of `attributes` is a name, which may be new,
+    """Give attributes their values in slices that say what is done: each of `attributes` is a name, which may be new,
     with its type, its domain, the field that takes values, and an array of all values. Blender copies arrays of its
     own types (float vectors, float colours, int32) in milliseconds and converts all others one by one."""
     for name, kind, domain, field, values in attributes:

@@ -123,7 +123,7 @@ def redraw() -> None:
                 area.tag_redraw()
 
 
-def frame(context: bpy.types.Context, bounds: Bounds) -> None:
+def turn_to(context: bpy.types.Context, bounds: Bounds) -> None:
     """Turn every 3D viewport of the window to what lies in `bounds`, from obliquely above, with fitting clip planes
     and without the grid where some of it lies beneath. Viewports in camera view leave it."""
     low, high = bounds
@@ -327,14 +327,14 @@ class _Upload:
     def __init__(self) -> None:
         self.whole = False
         self._batches: list[gpu.types.GPUBatch] = []
-        self._steps = self._work()
+        self._slices = self._work()
         self._data: bpy.types.PointCloud
 
     def go_on(self, data: bpy.types.PointCloud) -> None:
         """Do what can be begun within PIECE_SECONDS."""
         self._data = data  # Python's hold on it may be void by the next drawing
         deadline = time.monotonic() + PIECE_SECONDS
-        for _ in self._steps:
+        for _ in self._slices:
             if time.monotonic() > deadline:
                 return
         self.whole = True

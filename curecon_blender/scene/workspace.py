@@ -107,13 +107,13 @@ def read(folder: Path) -> Content:
 def build(
     content: Content, find_scene: Callable[[], bpy.types.Scene], *, pack: bool = False
 ) -> Generator[str, None, Imported]:
-    """Make the workspace's collection, a few milliseconds of work a step; each step says what is being made.
+    """Make the workspace's collection, a few milliseconds of work a slice; each slice says what is being made.
 
     The last one puts it into the scene, in place of what an earlier import of the workspace brought; until then it
     belongs to none, and stopped or failed the import leaves nothing behind. A component comes with what has been made
     of it: a textured surface goes before a plain one, and where there is a surface its cloud is hidden. `pack` puts the
     textures into the .blend. The render size, pixel aspect and active camera follow the first photo. `find_scene` is
-    asked in the last step, since Python holds no scene over an undo; what it raises goes through.
+    asked in the last slice, since Python holds no scene over an undo; what it raises goes through.
     """
     try:
         top = bpy.data.collections.new(_name(content))
@@ -129,10 +129,10 @@ def build(
 
 def import_workspace(scene: bpy.types.Scene, folder: Path, *, pack: bool = False) -> Imported:
     """Read a workspace and build it in the scene at once. Raises WorkspaceError."""
-    steps = build(read(folder), lambda: scene, pack=pack)
+    slices = build(read(folder), lambda: scene, pack=pack)
     while True:
         try:
-            next(steps)
+            next(slices)
         except StopIteration as end:
             return end.value
 

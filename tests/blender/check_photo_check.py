@@ -66,7 +66,7 @@ try:
         raise AssertionError("the folder is gone")
     except RuntimeError as error:
         assert "does not exist" in str(error), error
-    assert running.status.failure.kind == "photos" and running.step == "photos"
+    assert running.status.failure.kind == "photos" and running.panel == "photos"
     assert not thumbnails.folder().exists()
 finally:
     curecon_blender.unregister()
