@@ -340,7 +340,7 @@ class _Upload:
         self.whole = True
 
     def _work(self) -> Iterator[None]:
-        """A few milliseconds a step."""
+        """A few milliseconds a slice."""
         count = len(self._data.points)
         fetched: dict[str, np.ndarray] = {}
         for name, (field, width, kind) in _ATTRIBUTES.items():
