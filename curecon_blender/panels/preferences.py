@@ -31,7 +31,7 @@ class CURECON_AP_preferences(bpy.types.AddonPreferences):
     )
     memory_gib: FloatProperty(
         name="Memory Budget",
-        description="Gibibytes that the depth stage may use; 0 takes 60 % of what is free when it starts",
+        description="Gibibytes for the depth maps and the point cloud; 0 takes 60 % of what is free when they start",
         default=0.0, min=0.0, soft_max=64.0, step=100, precision=1,
     )
     worker_python: StringProperty(

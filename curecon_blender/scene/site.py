@@ -68,7 +68,7 @@ def subject(scene: bpy.types.Scene) -> bpy.types.Object | None:
     box where there is one. Where renders show none, the largest of all."""
     found = [*surfaces_of(scene), *clouds_of(scene)]
     drawn = _drawn(scene)
-    shown = [item for item in found if item.name in drawn] or found
+    shown = [item for item in found if not item.hide_render and drawn.intersection(item.users_collection)] or found
     region = scene.curecon.region
     about = [item for item in shown if _holds(item, region)] if region is not None else []
     return next(iter(about or shown), None)
@@ -142,16 +142,15 @@ def ground(cloud: bpy.types.Object, world_from_cloud: np.ndarray) -> float:
     return lowest_wide_level(heights, level)
 
 
-def _drawn(scene: bpy.types.Scene) -> set[str]:
-    """The names of the objects that renders show."""
-    names: set[str] = set()
-    layers = [scene.view_layers[0].layer_collection]
+def _drawn(scene: bpy.types.Scene) -> set[bpy.types.Collection]:
+    """The collections that renders show."""
+    found, layers = set(), [scene.view_layers[0].layer_collection]
     while layers:
         layer = layers.pop()
         if not layer.exclude and not layer.collection.hide_render:
-            names.update(item.name for item in layer.collection.objects if not item.hide_render)
+            found.add(layer.collection)
             layers += layer.children
-    return names
+    return found
 
 
 def _holds(item: bpy.types.Object, region: bpy.types.Object) -> bool:
