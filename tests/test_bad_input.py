@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Bad input gets a clear error, the documented exit code, and loses nothing. (Bad photos: test_photos.py.)"""
+"""Bad input gets a clear error, the documented exit code, and loses nothing. (Bad photos: test_photo_check.py.)"""
 
 from __future__ import annotations
 

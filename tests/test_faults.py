@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Faults, really done: nothing finished is lost, the user is told what to do, and nobody needs to clean up.
 
-docs/faults.md is the table of what is seen here. (Bad input: test_bad_input.py; bad photos: test_photos.py.)
+docs/faults.md is the table of what is seen here. (Bad input: test_bad_input.py; bad photos: test_photo_check.py.)
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from pathlib import Path
 import bpy
 
 from ..core.base.errors import CuReconError, WorkspaceError
-from ..core.base.files import disk_errors
+from ..core.base.files import PRESENTATION, disk_errors
 from ..scene import render_scene, site
 from . import paths, running
 
@@ -35,7 +35,7 @@ progress = Progress()
 def folder_of(scene: bpy.types.Scene) -> Path:
     """Where the presentation's files go: the chosen folder, else one in the workspace."""
     chosen = scene.curecon.present.folder
-    return paths.absolute(chosen) if chosen else paths.absolute(site.workspace(scene)) / "presentation"
+    return paths.absolute(chosen) if chosen else paths.absolute(site.workspace(scene)) / PRESENTATION
 
 
 def title_of(scene: bpy.types.Scene) -> str:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,6 +16,9 @@ from typing import Any, BinaryIO
 
 from .errors import WorkspaceError
 
+# Folders that a job makes in its workspace, and the one for renders: the user's photos may lie beside them.
+JOB_FOLDERS = re.compile(r"sparse|undistorted|depth|stages|textured(_\d+)?|\..*")
+PRESENTATION = "presentation"
 # What an operating system says of a drive that was unplugged, lost its network, or breaks.
 _GONE = tuple(getattr(errno, name) for name in (
     "EIO", "ESTALE", "ENODEV", "ENXIO", "ENOTCONN", "ETIMEDOUT", "EHOSTDOWN", "EHOSTUNREACH", "EREMOTEIO",

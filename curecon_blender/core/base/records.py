@@ -109,7 +109,7 @@ class View:
     far: Annotated[float, Within(1e-9, FARTHEST)]
     sources: tuple[tuple[str, Annotated[float, Within(0, FARTHEST)]], ...]
     overlaps: tuple[str, ...] = ()
-    original: str = ""  # the photo's own file, absolute path
+    original: str = ""  # the photo's own file, absolute path; "" where that is not known or not to be looked at
     points: Annotated[int, Within(0, 100_000_000)] = 0
 
     @property

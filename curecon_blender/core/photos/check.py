@@ -20,6 +20,7 @@ import numpy as np
 
 from ..base import images
 from ..base.errors import PhotoError
+from ..base.files import JOB_FOLDERS, PRESENTATION
 from ..base.messages import Reporter
 from ..base.records import Photo, PhotoSet, SkippedPhoto
 from . import metadata, overlap
@@ -45,14 +46,16 @@ _OTHER_REMEDIES = {
 }
 
 
-def check_photos(source: Path, reporter: Reporter) -> PhotoSet:
+def check_photos(source: Path, reporter: Reporter, paths: list[Path] | None = None) -> PhotoSet:
     """Find the photos in `source` and one level of folders below it, decode each, and read what its metadata says.
 
+    `paths` are what `find_photos` found in `source`, for a caller who has looked already: files that came since are not
+    taken up, those that went are left out.
     Files that cannot be used are left out with a reason and a warning; blurred and badly exposed photos are used, with
     a warning.
     Raises PhotoError when `source` is missing or no folder, or holds fewer than MIN_PHOTOS usable photos.
     """
-    paths = find_photos(source)
+    paths = find_photos(source) if paths is None else paths
     results: list[Photo | SkippedPhoto] = []
     threads = images.readers(max(map(_pixels, paths)), os.cpu_count() or 1)
     workers = ThreadPoolExecutor(threads, thread_name_prefix="photos")
@@ -89,7 +92,7 @@ def find_photos(source: Path) -> list[Path]:
         raise PhotoError(f"The folder {source} does not exist.", remedy="Choose the folder of the photos.", path=source)
     folders = _visible(source, folders=True)
     if (source / "workspace.json").exists():  # the photos' folder is the workspace too: do not take up our own results
-        folders = []
+        folders = [f for f in folders if not JOB_FOLDERS.fullmatch(f.name) and f.name != PRESENTATION]
     files = [
         path
         for folder in (source, *sorted(folders, key=lambda folder: _natural(folder.name)))
@@ -163,6 +166,8 @@ def _visible(folder: Path, *, folders: bool) -> list[Path]:
     try:
         entries = [entry for entry in folder.iterdir() if not entry.name.startswith(".")]
         return sorted(entry for entry in entries if (entry.is_dir() if folders else entry.is_file()))
+    except FileNotFoundError:  # gone since it was listed
+        return []
     except PermissionError as error:
         remedy = "Change its permissions, or copy the photos elsewhere."
         raise PhotoError(f"No permission to read the folder {folder}.", remedy=remedy, path=folder) from error

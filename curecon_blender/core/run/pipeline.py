@@ -110,6 +110,12 @@ class _Job:
             )
         self.photo_set = read_photos(root)
         self.components, self.key = components_file.read(root), record.key
+        if any(not view.original for component in self.components for view in component.views):
+            self.reporter.warning(
+                "This workspace names photos on a network drive, which are left alone: a stranger could have written "
+                "that, to make your computer log in to his. Texture comes from the smaller pictures in the workspace. "
+                "If the photos are yours, run Reconstruct with them up to the texture."
+            )
 
     def photos(self) -> None:
         from ..photos.check import check_photos, find_photos
@@ -120,11 +126,16 @@ class _Job:
         root = self.workspace.root
 
         def run() -> None:
-            write_photos(root, check_photos(source, self.reporter))
+            write_photos(root, check_photos(source, self.reporter, list(self.files)))
 
         self._stage("photos", {"files": [(str(path), *facts) for path, facts in self.files.items()]}, run,
                     [photos_record.FILE_NAME])
         self.photo_set = read_photos(root)
+        if not {photo.path for photo in self.photo_set.photos} <= set(self.files):
+            raise WorkspaceError(
+                f"{root / photos_record.FILE_NAME} names photos that are not in {source}.", path=root,
+                remedy=f"Delete the folder {root / 'stages'} and run Reconstruct again.",
+            )
         # What follows depends on the pictures and not on where they lie: a moved or copied folder is checked again,
         # and finds everything else done.
         self.key = key_of([{**asdict(photo), "path": None} for photo in self.photo_set.photos])

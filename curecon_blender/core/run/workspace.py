@@ -18,12 +18,11 @@ from types import TracebackType
 from typing import IO, Annotated, Any
 
 from ..base.errors import WorkspaceError
-from ..base.files import disk_errors, remove_partials, write_json
+from ..base.files import JOB_FOLDERS, disk_errors, remove_partials, write_json
 from ..base.reading import FARTHEST, INSIDE, Within, build, read_json
 
 FORMAT = 1
 # What a job writes, beside which the photos may lie.
-_OWN_FOLDERS = re.compile(r"sparse|undistorted|depth|stages|textured(_\d+)?|\..*")
 _OWN_FILES = re.compile(r"\.(json|ply|npz|lock|log|partial)$")
 LOCK_PATIENCE = 5.0  # seconds; a worker whose Blender was killed needs less to end
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL)
@@ -132,8 +131,8 @@ def refuse_links(root: Path) -> None:
     real = os.path.realpath(root)
     for folder, folders, files in os.walk(root):
         if Path(folder) == root:
-            folders[:] = [name for name in folders if _OWN_FOLDERS.fullmatch(name)]
-            files = [name for name in files if _OWN_FILES.search(name) or _OWN_FOLDERS.fullmatch(name)]
+            folders[:] = [name for name in folders if JOB_FOLDERS.fullmatch(name)]
+            files = [name for name in files if _OWN_FILES.search(name) or JOB_FOLDERS.fullmatch(name)]
         # A junction of Windows is a folder that only its real path gives away.
         links = [name for name in files if os.path.islink(os.path.join(folder, name))]
         for path in (Path(folder, name) for name in [*folders, *links]):

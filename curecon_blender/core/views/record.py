@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from ..base.errors import WorkspaceError
 from ..base.files import write_json
 from ..base.reading import FARTHEST, build, read_json
 from ..base.records import Component, View
+from ..base.shares import is_safe
 
 FILE_NAME = "views.json"
 FORMAT = 1
@@ -27,6 +28,7 @@ def write(workspace: Path, components: list[Component]) -> None:
 def read(workspace: Path) -> list[Component]:
     """The components in the workspace folder, largest first.
 
+    A view's `original` on a share other than the workspace's own is left out: a stranger may have written it.
     Raises WorkspaceError when there is no `views.json` yet, or it is damaged or of a newer version.
     """
     path = workspace / FILE_NAME
@@ -41,7 +43,7 @@ def read(workspace: Path) -> list[Component]:
             )
         components: list[Component] = list(build(tuple[Component, ...], content.get("components"), "components"))
         _check(components)
-        return components
+        return [_without_foreign_shares(component, workspace) for component in components]
     except FileNotFoundError as error:
         raise WorkspaceError(
             f"{workspace} holds no finished cameras ({FILE_NAME} is missing).",
@@ -51,6 +53,13 @@ def read(workspace: Path) -> list[Component]:
         raise WorkspaceError(
             f"{path} is damaged ({error}).", remedy="Delete that file and run Reconstruct again.", path=path
         ) from error
+
+
+def _without_foreign_shares(component: Component, workspace: Path) -> Component:
+    return replace(component, views=tuple(
+        view if is_safe(view.original, [workspace.absolute()]) else replace(view, original="")
+        for view in component.views
+    ))
 
 
 def _component_to_json(component: Component) -> dict[str, Any]:
