@@ -33,7 +33,7 @@ def measure(width: int, height: int, sources: int, device: str, precision: str, 
     from curecon_blender.core.base.records import View
     from curecon_blender.core.depth.estimate import DepthEstimator, plan_tiles
     from curecon_blender.core.network.weights import load_network
-    from curecon_blender.core.run.pipeline import PeakMemory
+    from curecon_blender.core.run.peak_memory import PeakMemory
 
     def views_of(w: int, h: int, folder: Path) -> list[View]:
         views = []

@@ -116,7 +116,7 @@ def main(arguments: list[str] | None = None) -> int:
     args = parser.parse_args(arguments)
     out = args.out or args.workspace.with_name(f"{args.workspace.name}-{args.method}")
     reporter = Reporter(_print)
-    reporter.begin(("depth", "fusion"))
+    reporter.begin({"depth": 0.9, "fusion": 0.1})
     options = Options(photos=args.workspace, workspace=out, min_confidence=args.min_confidence)
     try:
         reporter.stage("depth")

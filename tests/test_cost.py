@@ -124,7 +124,7 @@ def test_a_first_job_on_a_busy_computer_is_known_to_take_longer(
 
 def test_a_resumed_stage_is_known_as_such() -> None:
     reporter = Reporter()
-    reporter.begin(("depth", "fusion"))
+    reporter.begin({"depth": 0.9, "fusion": 0.1})
     reporter.stage("depth")
     reporter.progress(1, 3)
     assert not reporter.resumed

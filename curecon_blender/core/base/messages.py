@@ -87,11 +87,6 @@ def failure(error: CuReconError) -> Failure:
     )
 
 
-# Share of a typical job's time by stage, for the overall progress (measured on the sample site, standard quality).
-STAGE_WEIGHTS = {"photos": 0.02, "sparse": 0.2, "views": 0.03, "depth": 0.65, "fusion": 0.1, "mesh": 0.15,
-                 "texture": 0.25}
-
-
 class Reporter:
     """Passes a job's messages to `sink` and carries the wish to cancel the other way.
 
@@ -104,38 +99,45 @@ class Reporter:
     ) -> None:
         self._sink = sink
         self.cancelled = cancelled
-        self._stages = tuple(STAGE_WEIGHTS)
-        self._stage = self._stages[0]
+        self._weights: dict[str, float] = {"": 1.0}
+        self._stage = ""
+        self._overall = 0.0
         self._started = time.monotonic()
         self._fresh_from = 0
         self.resumed = False  # whether part of the stage was found finished from an earlier run
         self.warnings: list[str] = []
 
-    def begin(self, stages: tuple[str, ...]) -> None:
-        """Name the job's stages, in order, for the overall progress."""
-        self._stages, self._stage = stages, stages[0]
+    def begin(self, weights: dict[str, float]) -> None:
+        """Name the job's stages, in order, with how long each takes beside the others. Once more when more is known of
+        that: what follows is then reckoned anew, and progress never goes back."""
+        self._weights = weights
+        if self._stage not in weights:
+            self._stage = next(iter(weights))
 
     def stage(self, stage: str) -> None:
+        """A stage begins; one that was not named is a job of its own."""
         self.check_cancelled()
+        if stage not in self._weights:
+            self.begin({stage: 1.0})
         self._stage, self._started, self._fresh_from, self.resumed = stage, time.monotonic(), 0, False
-        self._sink(StageStarted(stage=stage, index=self._stages.index(stage), count=len(self._stages)))
+        self._sink(StageStarted(stage=stage, index=[*self._weights].index(stage), count=len(self._weights)))
 
     def progress(self, done: int, total: int, *, fresh: bool = True) -> None:
         """`fresh=False` for units found finished from an earlier run: they take no time, so no ETA comes of them."""
         self.check_cancelled()
         if not fresh:
             self._fresh_from, self._started, self.resumed = done, time.monotonic(), True
-        weights = [STAGE_WEIGHTS[s] for s in self._stages]
-        index = self._stages.index(self._stage)
-        whole = sum(weights)
-        overall = (sum(weights[:index]) + weights[index] * done / max(total, 1)) / whole
+        weights = [*self._weights.values()]
+        index = [*self._weights].index(self._stage)
+        share = (sum(weights[:index]) + weights[index] * done / max(total, 1)) / sum(weights)
+        self._overall = max(self._overall, share)
         eta = None
         if done > self._fresh_from:
             per_unit = (time.monotonic() - self._started) / (done - self._fresh_from)
             stage_left = per_unit * (total - done)
             later = per_unit * total * sum(weights[index + 1 :]) / weights[index]
             eta = stage_left + later
-        self._sink(Progress(stage=self._stage, done=done, total=total, overall=overall, eta=eta))
+        self._sink(Progress(stage=self._stage, done=done, total=total, overall=self._overall, eta=eta))
 
     def warning(self, text: str, photo: str | None = None) -> None:
         self.warnings.append(text)

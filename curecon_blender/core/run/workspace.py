@@ -12,6 +12,7 @@ import re
 import shutil
 import sys
 import time
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import TracebackType
@@ -194,5 +195,10 @@ def _try_lock(file: IO[bytes]) -> None:
 
 
 def folder_bytes(root: Path) -> int:
-    """Bytes of all files below a folder."""
-    return sum((Path(d) / f).stat().st_size for d, _, files in os.walk(root) for f in files)
+    """Bytes of all files below a folder; a link counts as itself, and what goes meanwhile counts nothing."""
+    total = 0
+    for folder, _, files in os.walk(root):
+        for name in files:
+            with suppress(FileNotFoundError):
+                total += os.lstat(os.path.join(folder, name)).st_size
+    return total

@@ -1,0 +1,314 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The stages, each declared once: what it depends on, what it makes, and how it runs.
+
+A stage reads and writes the workspace, and hands what the next one needs on through the Job.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, replace
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+from ..base.errors import PhotoError, SparseError, SurfaceError, WorkspaceError
+from ..base.files import scratch_folder
+from ..base.messages import Reporter
+from ..base.options import Options
+from ..base.records import Component, PhotoSet
+from ..base.rotations import from_quaternion
+from ..cloud.edits import edits_key, read_edited_cloud
+from ..cloud.fuse import NoPointsError, fuse
+from ..depth.cluster import spread_depths
+from ..depth.estimate import estimate_depths
+from ..network import weights
+from ..photos import record as photos_record
+from ..photos.check import check_photos, find_photos
+from ..photos.record import read_photos, write_photos
+from ..sparse import find_cameras
+from ..surface.build import MeshOptions, build_mesh
+from ..surface.mesh import mesh_file, read_mesh, textured_folder, write_mesh
+from ..texture.texturing import TextureOptions, texture_mesh
+from ..views import record as views_record
+from ..views.prepare import prepare_views
+from . import cost
+from .workspace import Workspace, key_of
+
+
+@dataclass
+class Job:
+    """One run over an open workspace: what a stage hands to the next."""
+
+    options: Options
+    workspace: Workspace
+    reporter: Reporter
+    photo_set: PhotoSet = field(default_factory=lambda: PhotoSet(photos=()))
+    components: list[Component] = field(default_factory=list)
+    files: dict[Path, tuple[int, ...]] = field(default_factory=dict)  # the photos' sizes (bytes) and times (ns)
+    key: str = ""  # of the stage just done; every stage's key takes in the one before
+
+    @property
+    def root(self) -> Path:
+        return self.workspace.root
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stage:
+    """A stage: it is done when its marker has the key of these options, inputs, version, and the stage before.
+
+    `version` is raised by whoever changes the stage's result: workspaces of before then make it anew, and what follows
+    it. `options` are names in Options; `inputs` is what else the result depends on. `files` are patterns below the
+    workspace of what it makes. `weight` is its share of a typical job's time (the sample site at Standard). `load`
+    takes up what the stage has made, just now or in an earlier run. A stage `in_budget` keeps to the memory budget, and
+    is tried again with half of it when memory runs out.
+    """
+
+    name: str
+    version: int
+    weight: float
+    files: tuple[str, ...]
+    run: Callable[[Job], None]
+    options: tuple[str, ...] = ()
+    inputs: Callable[[Job], dict[str, Any]] | None = None
+    load: Callable[[Job], None] | None = None
+    in_budget: bool = False
+
+    def key(self, job: Job) -> str:
+        """The key of the stage's done-marker in this job."""
+        options = {name: attrgetter(name)(job.options) for name in self.options}
+        inputs = self.inputs(job) if self.inputs else {}
+        return key_of({"stage": self.name, "version": self.version, "before": job.key, **options, **inputs})
+
+
+# ---- photos: what they are
+
+
+def _photo_files(job: Job) -> dict[str, Any]:
+    assert job.options.photos is not None
+    job.files = {path: _size_and_time(path) for path in find_photos(job.options.photos.absolute())}
+    return {"files": [(str(path), *facts) for path, facts in job.files.items()]}
+
+
+def _check(job: Job) -> None:
+    assert job.options.photos is not None
+    photo_set = check_photos(job.options.photos.absolute(), job.reporter, list(job.files))
+    write_photos(job.root, photo_set)
+
+
+def _load_photos(job: Job) -> None:
+    """Take up the photo check's result. What follows depends on the pictures and not on where they lie: a moved or
+    copied folder is checked again, and finds everything else done. Raises WorkspaceError for a record of others."""
+    job.photo_set = read_photos(job.root)
+    if not {photo.path for photo in job.photo_set.photos} <= set(job.files):
+        raise WorkspaceError(
+            f"{job.root / photos_record.FILE_NAME} names photos that are not in {job.options.photos}.", path=job.root,
+            remedy=f"Delete the folder {job.root / 'stages'} and run Reconstruct again.",
+        )
+    job.key = key_of([{**asdict(photo), "path": None} for photo in job.photo_set.photos])
+
+
+# ---- sparse: where the cameras stood
+
+
+def _model(job: Job) -> dict[str, Any]:
+    return {"model": _digest(job.options.model)} if job.options.model else {"mapper": job.options.mapper}
+
+
+def _find_cameras(job: Job) -> None:
+    with _photos_must_stay(job):
+        # The database ends the process when its disk is full, so what it may need is asked for beforehand.
+        job.workspace.require_space(cost.disk_bytes(job.photo_set.photos, job.options))
+        if job.options.model:
+            find_cameras.import_model(job.options.model, job.photo_set, job.options, job.root, job.reporter)
+        else:
+            find_cameras.reconstruct(job.photo_set, job.options, job.root, job.reporter)
+
+
+# ---- views: undistorted photos with their sources
+
+
+def _prepare_views(job: Job) -> None:
+    job.workspace.require_space(cost.depth_bytes(job.photo_set.photos, job.options))
+    with _photos_must_stay(job):
+        components = prepare_views(job.photo_set, job.options, job.root, job.reporter)
+    views_record.write(job.root, components)
+
+
+def _load_views(job: Job) -> None:
+    """Take up the components, with their views' originals where the photos lie now, kept so in the workspace."""
+    components = views_record.read(job.root)
+    places = {photo.name: str(photo.path) for photo in job.photo_set.photos}
+    if any(view.original != places[view.name] for component in components for view in component.views):
+        components = [replace(component, views=tuple(
+            replace(view, original=places[view.name]) for view in component.views
+        )) for component in components]
+        views_record.write(job.root, components)
+    job.components = components
+
+
+# ---- depth
+
+
+def _weights(job: Job) -> dict[str, Any]:
+    return {"weights": weights.describe(job.options.weights)["sha256"]}
+
+
+def _estimate_depths(job: Job) -> None:
+    key = DEPTH.key(job)  # each photo's file carries it
+    if job.options.scheduler:
+        spread_depths(job.components, job.root, job.options, key, job.reporter)
+    else:
+        network = weights.load_network(job.options.weights)
+        estimate_depths(job.components, network, job.root, job.options, key, job.reporter)
+
+
+# ---- fusion: one cloud a component
+
+
+def _fuse(job: Job) -> None:
+    points = 0
+    for component in job.components:
+        try:
+            points += fuse(component, job.root, job.options, job.reporter)
+        except NoPointsError as error:
+            if len(job.components) == 1:
+                raise
+            job.reporter.warning(error.message)
+    if points == 0:
+        raise NoPointsError(
+            "No part of the reconstruction gave a point that enough views agree on.",
+            remedy="Take photos that overlap more, or lower the minimum confidence or the confirming views.",
+        )
+    for component in job.components:  # surfaces that are there are of the cloud before
+        (job.root / mesh_file(component.index)).unlink(missing_ok=True)
+    _drop_textures(job)
+
+
+# ---- mesh and texture
+
+
+def _edits(job: Job) -> dict[str, Any]:
+    return {"edits": [edits_key(job.root / component.cloud) for component in job.components]}
+
+
+def _build_meshes(job: Job) -> None:
+    options, root = job.options, job.root
+    x0, y0, z0, x1, y1, z1 = options.region or (0.0,) * 6
+    region = ((x0, y0, z0), (x1, y1, z1)) if options.region else None
+    settings = MeshOptions(fill_holes=options.fill_holes, max_faces=options.mesh_faces, region=region)
+    turn = from_quaternion(options.region_turn) if options.region_turn else None
+
+    def build(component: Component) -> None:
+        cloud = read_edited_cloud(root / component.cloud)
+        with scratch_folder(root / "mesh") as scratch:
+            # Along the region's own axes, and back.
+            mesh = build_mesh(cloud if turn is None else cloud.rotated(turn), settings, scratch, job.reporter)
+        if turn is not None:
+            mesh = replace(mesh, vertices=(mesh.vertices @ turn).astype("float32"))
+        write_mesh(root / mesh_file(component.index), mesh)
+
+    _each_surface(job, [c for c in job.components if (root / c.cloud).exists()], build)
+    _drop_textures(job)  # they are of the mesh before
+
+
+def _texture_meshes(job: Job) -> None:
+    root = job.root
+    settings = TextureOptions(page_size=job.options.texture_size, jpeg=job.options.texture_format == "jpeg")
+
+    def texture(component: Component) -> None:
+        folder = root / textured_folder(component.index)
+        mesh = read_mesh(root / mesh_file(component.index))
+        write_mesh(folder / "mesh.ply", texture_mesh(mesh, component, root, settings, folder, job.reporter))
+
+    _each_surface(job, [c for c in job.components if (root / mesh_file(c.index)).exists()], texture)
+
+
+def _each_surface(job: Job, components: list[Component], run: Callable[[Component], None]) -> None:
+    """Run for every component; one that cannot have a surface does not cost the others theirs."""
+    failures = []
+    for component in components:
+        try:
+            run(component)
+        except SurfaceError as error:
+            failures.append(error)
+            job.reporter.warning(f"Part {component.index + 1}: {error.message}")
+    if failures and len(failures) == len(components):
+        raise failures[0]
+
+
+def _drop_textures(job: Job) -> None:
+    for component in job.components:
+        shutil.rmtree(job.root / textured_folder(component.index), ignore_errors=True)
+
+
+# ---- the table
+
+DEPTH = Stage(
+    name="depth", version=1, weight=0.65, files=("depth/*.npz",), run=_estimate_depths, options=("precision",),
+    inputs=_weights, in_budget=True,
+)
+STAGES = {stage.name: stage for stage in (
+    Stage(name="photos", version=1, weight=0.02, files=(photos_record.FILE_NAME,), run=_check, inputs=_photo_files,
+          load=_load_photos),
+    Stage(name="sparse", version=1, weight=0.2, files=("sparse/[0-9]*/*.bin", "sparse/[0-9]*/frame.json"),
+          run=_find_cameras, options=("preset.sfm_image_size", "preset.max_features"), inputs=_model),
+    Stage(name="views", version=1, weight=0.03, files=(views_record.FILE_NAME, "undistorted/*"), run=_prepare_views,
+          options=("image_size", "source_views"), load=_load_views),
+    DEPTH,
+    Stage(name="fusion", version=1, weight=0.1, files=("cloud*.ply",), run=_fuse, in_budget=True,
+          options=("min_confidence", "min_views", "max_reprojection_error", "max_depth_difference")),
+    Stage(name="mesh", version=1, weight=0.15, files=("mesh*.ply",), run=_build_meshes, inputs=_edits,
+          options=("fill_holes", "mesh_faces", "region", "region_turn")),
+    Stage(name="texture", version=1, weight=0.25, files=("textured*/*",), run=_texture_meshes,
+          options=("texture_size", "texture_format")),
+)}
+
+
+# ---- what a stage depends on outside of the workspace
+
+
+@contextmanager
+def _photos_must_stay(job: Job) -> Iterator[None]:
+    """Raise PhotoError when a photo was changed, moved or deleted since the job began: whatever went wrong in the
+    block is then its consequence, and what went well may be of two states of it."""
+    try:
+        yield
+    finally:
+        for photo in job.photo_set.photos:
+            now = _size_and_time(photo.path)
+            if now != job.files[photo.path]:
+                what = "changed" if now else "moved or deleted"
+                raise PhotoError(
+                    f"{photo.path.name} was {what} while the job was running.",
+                    remedy="Put it back if it should be used, then run it again: the photos are checked anew.",
+                    path=photo.path,
+                )
+
+
+def _size_and_time(file: Path) -> tuple[int, ...]:
+    """A file's size in bytes and time of change in nanoseconds; () when it is not there."""
+    try:
+        status = file.stat()
+    except FileNotFoundError:
+        return ()
+    return status.st_size, status.st_mtime_ns
+
+
+def _digest(model: Path) -> str:
+    """Digest of a given model's files, so that another model, or a changed one, is seen as such."""
+    files = sorted(p for p in model.rglob("*") if p.suffix in (".bin", ".txt")) if model.is_dir() else []
+    if not files:
+        raise SparseError(
+            f"{model} holds no COLMAP model.", path=model,
+            remedy="Choose the folder with cameras, images and points3D as .bin or .txt.",
+        )
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(file.name.encode())
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
