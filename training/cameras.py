@@ -143,6 +143,30 @@ def _flight(rng: np.random.Generator, subject: Subject, half_fov: float) -> tupl
     return np.concatenate(centres), np.concatenate(targets)
 
 
+def _facade_flight(rng: np.random.Generator, subject: Subject, half_fov: float) -> tuple[np.ndarray, np.ndarray]:
+    """A facade as manuals advise it: passes along it from 6 to 15 m at two or three heights, square to the wall and
+    aslant to both sides."""
+    heading = 0.0 if subject.facing is None else subject.facing
+    outward = np.array([np.cos(heading), np.sin(heading), 0.0])
+    along = np.array([-outward[1], outward[0], 0.0])
+    away, reach = rng.uniform(6, 15), subject.radius
+    stops = int(np.clip(2 * reach / (0.5 * away * np.tan(half_fov)), 8, 16))  # three quarters of two pictures overlap
+    heights = np.linspace(1.7, max(3.0, subject.height * rng.uniform(0.6, 1.1)), int(rng.integers(2, 4)))
+    centres, targets = [], []
+    for z, slant in zip(heights, rng.permutation([-0.45, 0.0, 0.45]), strict=False):
+        for yaw in (slant, 0.0) if slant else (0.0,):
+            s = np.linspace(-reach, reach, stops) + rng.normal(0, 0.03 * reach, stops)
+            gap = away * (1 + rng.normal(0, 0.04, stops))
+            at = subject.centre + s[:, None] * along + gap[:, None] * outward + np.array([0, 0, z])
+            at[:, 2] += rng.normal(0, 0.15, stops)
+            middle = subject.centre[2] + z + (0.5 * subject.height - z) * rng.uniform(0.2, 0.8)
+            target = at - gap[:, None] * (outward - np.tan(yaw) * along)
+            target[:, 2] = middle
+            centres.append(at)
+            targets.append(target + rng.normal(0, 0.03 * away, (stops, 3)))
+    return np.concatenate(centres), np.concatenate(targets)
+
+
 _RIGS = {"orbit": (_orbit, 0.40), "nadir": (_nadir, 0.22), "facade": (_facade, 0.18), "hand": (_hand_held, 0.20)}
 
 
@@ -162,7 +186,8 @@ def draw_rig(rng: np.random.Generator, kind: str, world: World, views: int, size
 def draw_flight(rng: np.random.Generator, world: World, size: tuple[int, int]) -> Rig:
     """A random whole flight about the world's subject; the caller leaves out the photos that see nothing."""
     focal, half_fov = _draw_lens(rng, size)
-    return _build(rng, "flight", world, focal, size, *_flight(rng, world.subject, half_fov))
+    kind, fly = ("flight", _flight) if world.subject.facing is None else ("facade flight", _facade_flight)
+    return _build(rng, kind, world, focal, size, *fly(rng, world.subject, half_fov))
 
 
 def _draw_lens(rng: np.random.Generator, size: tuple[int, int]) -> tuple[float, float]:

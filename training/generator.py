@@ -92,14 +92,16 @@ class Generator:
                 if scene is not None:
                     return scene
 
-    def fly(self, seed: int, size: tuple[int, int], held_out: bool = False) -> Scene:
-        """A scene that a whole flight has taken: each photo has neighbours to choose its sources from."""
-        rng = np.random.default_rng([seed, int(held_out), 1])
+    def fly(self, seed: int, size: tuple[int, int], held_out: bool = False, facade: bool = False) -> Scene:
+        """A scene that a whole flight has taken, round a building or along a `facade` with openings: each photo has
+        neighbours to choose its sources from."""
+        rng = np.random.default_rng([seed, int(held_out), 1 + int(facade)])
+        max_ratio = max(MAX_RATIOS["facade" if facade else "orbit"])
         while True:
-            world = compose(self.assets, rng, held_out)
+            world = compose(self.assets, rng, held_out, facade)
             self.renderer.upload(world)
             rig = draw_flight(rng, world, size)
-            good = np.array([self._looks_well(rig, v, size, max(MAX_RATIOS["orbit"])) for v in range(len(rig.K))])
+            good = np.array([self._looks_well(rig, v, size, max_ratio) for v in range(len(rig.K))])
             good &= ~np.array([world.inside(centre[None]) for centre in rig.centres])
             if good.sum() >= FEWEST_IN_FLIGHT:
                 scene = self._shoot(rng, Rig(rig.kind, rig.K[good], rig.cam_from_world[good]), size, pose_noise=True)
@@ -289,6 +291,7 @@ def main() -> None:
     parser.add_argument("--size", default="512x384", help="WIDTHxHEIGHT in pixels")
     parser.add_argument("--views", type=int, help=f"photos a scene (default: drawn, {FEWEST_VIEWS} to {MOST_VIEWS})")
     parser.add_argument("--flight", action="store_true", help="whole flights of 30 to 70 photos; --views is not used")
+    parser.add_argument("--facades", action="store_true", help="of --flight: along walls with openings, at 6 to 15 m")
     parser.add_argument("--held-out", action="store_true", help="use only the buildings kept for evaluation")
     options = parser.parse_args()
     width, height = (int(n) for n in options.size.split("x"))
@@ -301,7 +304,7 @@ def main() -> None:
         if path.exists():
             continue
         if options.flight:
-            scene = generator.fly(seed, (width, height), options.held_out)
+            scene = generator.fly(seed, (width, height), options.held_out, options.facades)
         else:
             scene = generator.generate(seed, (width, height), options.views, options.held_out)
         save(scene, path)

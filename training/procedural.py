@@ -51,13 +51,15 @@ def grid_faces(rows: int, columns: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Recess:
-    """A rectangle of a panel moved outwards by `offset` metres (inwards when negative)."""
+    """A rectangle of a panel moved outwards by `offset` metres (inwards when negative), or cut out where it is `open`:
+    only its sides are left."""
 
     u0: float
     u1: float
     v0: float
     v1: float
     offset: float
+    open: bool = False
 
 
 def panel(
@@ -80,16 +82,17 @@ def panel(
     us = lines(width, [r for recess in recesses for r in (recess.u0, recess.u1)])
     vs = lines(height, [r for recess in recesses for r in (recess.v0, recess.v1)])
     v, u = (a.ravel() for a in np.meshgrid(vs, us, indexing="ij"))
-    offset = np.zeros_like(u)
+    offset, hollow = np.zeros_like(u), np.zeros(len(u), bool)
     for recess in recesses:
         inside = (u > recess.u0) & (u < recess.u1) & (v > recess.v0) & (v < recess.v1)
-        offset[inside] = recess.offset
+        offset[inside], hollow[inside] = recess.offset, recess.open
     flat = place(u, v, offset)
     # Relief ends at the rim of the sheet, so that neighbouring walls meet without a gap.
     rim = np.minimum(np.minimum(u, width - u), np.minimum(v, height - v))
     offset = np.where(rim < EDGE, 0, offset + roughness(flat) * np.clip(rim / 0.5, 0, 1))
     positions = place(u, v, offset).astype(np.float32)
     faces = grid_faces(len(vs), len(us))
+    faces = faces[~hollow[faces].all(1)]
     uv = np.stack([u, v], axis=1).astype(np.float32)
     return Mesh(positions, vertex_normals(positions, faces), uv, uv, faces, material)
 

@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from training.assets import Assets, Material, Mesh, subdivide, vertex_normals
+from training.facades import facade as open_facade
 from training.procedural import Noise, Terrain, house, tulou
 
 FLOATING_ABOVE = 1.5  # a model whose lowest point is higher than this (metres) is a part without its base
@@ -31,11 +32,13 @@ class Instance:
 
 @dataclass(frozen=True)
 class Subject:
-    """What a flight is about: a cylinder on the ground; centre (3,) at ground level."""
+    """What a flight is about: a cylinder on the ground; centre (3,) at ground level. `facing`: the direction that a
+    facade looks to, in radians about Z from x."""
 
     centre: np.ndarray
     radius: float
     height: float
+    facing: float | None = None
 
 
 @dataclass(frozen=True)
@@ -195,6 +198,32 @@ def _building(assets: Assets, rng: np.random.Generator, held_out: bool) -> _Buil
     return _Building(model, f"{name}#{variant}", scale, radius, float(high[2] * scale[2]), override, (low, high))
 
 
+def _facade(assets: Assets, rng: np.random.Generator) -> _Building:
+    """A wall with openings that one sees through."""
+    meshes, half, height = open_facade(rng, wall_material(assets, rng), wall_material(assets, rng), Noise(rng))
+    return _Building(tuple(meshes), None, np.ones(3), half, height, None, None)
+
+
+def _thin_trees(
+    assets: Assets, rng: np.random.Generator, terrain: Terrain, subject: Subject, facing: np.ndarray
+) -> list[Instance]:
+    """A few trees between a facade and who looks at it; `facing` (2,) is where it looks to."""
+    usable = [n for n in assets.names("tree") if _bounds(assets.model(n))[0][2] < FLOATING_ABOVE]
+    found = []
+    for _ in range(int(rng.integers(0, 5))):
+        name = str(rng.choice(usable))
+        meshes = assets.model(name)
+        low, high = _bounds(meshes)
+        size = rng.uniform(2, 7) / max(float(high[2] - low[2]), 0.5)
+        along = np.array([-facing[1], facing[0]]) * subject.radius * rng.uniform(-1, 1)
+        centre = subject.centre[:2] + along + facing * rng.uniform(3, 6)
+        z = float(terrain.height(centre[None])[0]) - 0.05 - max(low[2], 0.0) * size
+        scale = size * np.array([0.6, 0.6, 1.0]) * rng.uniform(0.8, 1.1, 3)
+        place = _placement(np.append(centre, z), rng.uniform(0, 2 * np.pi), scale)
+        found.append(Instance(meshes, place, f"{name}#{id(meshes)}", _tint(rng)))
+    return found
+
+
 def _tint(rng: np.random.Generator) -> tuple[float, float, float]:
     grey = rng.uniform(0.75, 1.15)
     red, green, blue = grey * rng.uniform(0.92, 1.08, 3)
@@ -253,8 +282,8 @@ def _light(assets: Assets, rng: np.random.Generator) -> Light:
     )
 
 
-def compose(assets: Assets, rng: np.random.Generator, held_out: bool) -> World:
-    """A scene from a random generator."""
+def compose(assets: Assets, rng: np.random.Generator, held_out: bool, facade: bool = False) -> World:
+    """A scene from a random generator; its subject is a building, or a `facade` with openings."""
     horizon = rng.random() < 0.35
     radius = float(rng.uniform(55, 85))
     terrain = Terrain(rng, radius, float(rng.uniform(400, 2500)) if horizon else 2.5 * radius)
@@ -264,17 +293,20 @@ def compose(assets: Assets, rng: np.random.Generator, held_out: bool) -> World:
     solids = []
     gap = rng.uniform(0.65, 1.1)
     for _ in range(int(rng.choice([1, 1, 2, 3, 4, 5, 6, 8]))):
-        building = _building(assets, rng, held_out)
+        open_wall = facade and not placed
+        building = _facade(assets, rng) if open_wall else _building(assets, rng, held_out)
         centre = layout.find(building.radius, 22.0, gap)
         if centre is None:
             continue
         z = terrain.level(centre, building.radius)
-        place = _placement(np.append(centre, z), rng.uniform(0, 2 * np.pi), building.scale)
+        turn = rng.uniform(0, 2 * np.pi)
+        place = _placement(np.append(centre, z), turn, building.scale)
         gloss = float(rng.choice([0, 0, 0.15]) * rng.random())
         instances.append(Instance(building.meshes, place, building.key, _tint(rng), gloss, building.override))
         if building.box is not None:
             solids.append((place, *building.box))
-        placed.append(Subject(np.append(centre, z), building.radius, building.height))
+        placed.append(Subject(np.append(centre, z), building.radius, building.height,
+                              turn - np.pi / 2 if open_wall else None))
     centre = np.mean([s.centre for s in placed], axis=0)
     reach = max(float(np.linalg.norm(s.centre[:2] - centre[:2])) + s.radius for s in placed)
     site = Subject(centre, reach, max(s.height for s in placed))
@@ -282,6 +314,9 @@ def compose(assets: Assets, rng: np.random.Generator, held_out: bool) -> World:
     for kind, most in (("rock", 14), ("tree", 26), ("prop", 10)):
         count = int(rng.integers(0, most + 1) * (rng.random() < 0.75))
         instances += _scatter(assets, rng, terrain, layout, kind, count, spread)
+    if placed[0].facing is not None:
+        facing = np.array([np.cos(placed[0].facing), np.sin(placed[0].facing)])
+        instances += _thin_trees(assets, rng, terrain, placed[0], facing)
     textures = [ground_texture(assets, rng) for _ in range(3)]
     material = Material(
         textures[0][0], blend=(textures[1][0], textures[2][0]), tiles=(textures[0][1], textures[1][1], textures[2][1])
