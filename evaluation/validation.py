@@ -11,7 +11,7 @@ sparse points that lie in the picture, as in use, or with `--without-points` of 
 that of BlendedMVS, 1/128 of the reference's true range (1st to 99th percentile). PatchMatch is that of the package
 pyarchinit-photogrammetry-core; it fills only where it is sure enough, so its errors are over fewer pixels: read them
 with its coverage. A second table counts only the pixels that at least two of the sources really see: the others can be
-guessed but not measured.
+guessed but not measured. A third says where the error lies (error_classes.py).
 """
 
 from __future__ import annotations
@@ -36,9 +36,10 @@ from curecon_blender.core.views import sparse_points
 from training.dataset import source_scores, sparse_depth_range
 from training.generator import Scene, back_project, load, project
 
-from . import depth_metrics
+from . import depth_metrics, error_classes
 from .baselines import METHODS, Estimate, Method
 from .depth_metrics import DepthErrors
+from .error_classes import Shares
 
 SURE = 0.9
 OBSERVERS = 2
@@ -48,12 +49,14 @@ OCCLUSION = 0.01  # relative depth by which a source may see something nearer an
 @dataclass(frozen=True, kw_only=True)
 class Result:
     """One method over all references. `observed`: over the pixels that at least OBSERVERS sources see. `sure`: percent
-    of the pixels with confidence above SURE, and of those within one interval. `seconds`: CPU time a reference."""
+    of the pixels with confidence above SURE, and of those within one interval. `shares`: where the error lies.
+    `seconds`: CPU time a reference."""
 
     errors: DepthErrors
     observed: DepthErrors
     sure: float
     sure_within_one: float
+    shares: Shares
     seconds: float
 
 
@@ -113,12 +116,12 @@ def observers(scene: Scene, reference: int, sources: list[int]) -> np.ndarray:
     return np.where(truth > 0, count, 0).reshape(height, width)
 
 
-def network_method(weights: Path | None) -> Method:
-    """LCM-MVSNet as in use, with one set of weights (None: those that ship)."""
+def network_method(weights: Path | None, precision: str = "auto") -> Method:
+    """LCM-MVSNet as in use, with one set of weights (None: those that ship); `precision` as in Options."""
     network = load_network(weights)
 
     def estimate(view: View, sources: list[View], folder: Path) -> Estimate:
-        estimator = DepthEstimator(network, folder, Options(photos=folder, workspace=folder))
+        estimator = DepthEstimator(network, folder, Options(photos=folder, workspace=folder, precision=precision))
         return estimator.estimate(view, list(zip(sources, [s for _, s in view.sources], strict=True)))
 
     return estimate
@@ -128,7 +131,7 @@ def measure(
     method: Method, scenes: list[Path], references: int, sources: int, sweep: str, points: bool = True
 ) -> Result:
     """Mean errors of a method over the references of all scenes."""
-    errors, observed, seconds = [], [], []
+    errors, observed, shares, seconds = [], [], [], []
     sure = within = pixels = 0
     for path in scenes:
         scene = load(path)
@@ -141,15 +144,18 @@ def measure(
                 truth = scene.depth[reference]
                 true_range = depth_metrics.true_range(truth)
                 errors.append(depth_metrics.depth_errors(depth, truth, true_range))
-                seen = observers(scene, reference, [int(v.name) for v in others]) >= OBSERVERS
-                observed.append(depth_metrics.depth_errors(depth, np.where(seen, truth, 0), true_range))
+                seen = observers(scene, reference, [int(v.name) for v in others])
+                observed.append(depth_metrics.depth_errors(depth, np.where(seen >= OBSERVERS, truth, 0), true_range))
+                of = error_classes.classes(truth, seen, view.near, view.far)
+                shares.append(error_classes.shares(depth, confidence, truth, true_range, of))
                 counted = (truth >= true_range.near) & (truth <= true_range.far)
                 confident = counted & (confidence > SURE)
                 sure, pixels = sure + int(confident.sum()), pixels + int(counted.sum())
                 within += int((np.abs(depth - truth)[confident] < true_range.interval).sum())
     return Result(errors=depth_metrics.mean_errors(errors), observed=depth_metrics.mean_errors(observed),
                   sure=100 * sure / max(pixels, 1),
-                  sure_within_one=100 * within / max(sure, 1), seconds=float(np.mean(seconds)))
+                  sure_within_one=100 * within / max(sure, 1), shares=error_classes.mean_shares(shares),
+                  seconds=float(np.mean(seconds)))
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -163,16 +169,17 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--sources", type=int, default=4)
     parser.add_argument("--range", choices=("sparse", "true"), default="sparse", help="that is swept")
     parser.add_argument("--without-points", action="store_true", help="the network is told of no sparse points")
+    parser.add_argument("--precision", choices=("auto", "fp32", "bf16"), default="auto", help="of the network")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args(arguments)
     scenes = sorted(args.scenes.glob("*.npz"))
     if not scenes:
         print(f"{args.scenes} holds no scenes; make some with training.generator.", file=sys.stderr)
         return 2
-    results = {name: measure(METHODS.get(name) or network_method(args.weights), scenes, args.references, args.sources,
-                             args.range, not args.without_points) for name in args.methods}
+    results = {name: measure(METHODS.get(name) or network_method(args.weights, args.precision), scenes, args.references,
+                             args.sources, args.range, not args.without_points) for name in args.methods}
     if args.json:
-        print(json.dumps({name: asdict(result) for name, result in results.items()}))
+        print(json.dumps({name: asdict(result) for name, result in results.items()}, default=np.ndarray.tolist))
         return 0
     print("All pixels")
     print(depth_metrics.table({name: r.errors for name, r in results.items()}))
@@ -181,6 +188,7 @@ def main(arguments: list[str] | None = None) -> int:
     for name, r in results.items():
         print(f"{name:24}{r.sure:5.1f} % with confidence above {SURE}, {r.sure_within_one:5.1f} % of them within one "
               f"interval; {r.seconds:.1f} CPU s a reference")
+        print(error_classes.table(r.shares))
     return 0
 
 
