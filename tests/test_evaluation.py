@@ -28,7 +28,7 @@ from curecon_blender.core.base.records import Frame, GeoPosition, View
 from curecon_blender.core.cloud.fuse import fuse
 from curecon_blender.core.cloud.ply import Cloud, CloudWriter, read_cloud
 from curecon_blender.core.views import record as components
-from evaluation import baselines, cloud_metrics, depth_metrics, plane_sweep, site
+from evaluation import baselines, cloud_metrics, depth_metrics, error_classes, plane_sweep, site
 from evaluation.alignment import align, read_centres
 from evaluation.depth_metrics import DepthRange, depth_errors
 from training.generator import Scene, save
@@ -416,6 +416,25 @@ def test_every_method_of_the_validation_finds_the_box(method: str, metres: float
     found = answer("validation", tmp_path, "--methods", method, "--references", 1)[method]
     assert found["errors"]["median"] < metres and found["errors"]["coverage"] > 50
     assert found["observed"]["e3"] <= found["errors"]["e3"]  # what sources see is measured better than what is guessed
+    assert sum(found["shares"]["epe"]) == pytest.approx(found["errors"]["epe"])
     if method == "network":
         untold = answer("validation", tmp_path, "--methods", method, "--references", 1, "--without-points")[method]
         assert untold["errors"]["median"] < metres and untold["errors"] != found["errors"]
+
+
+def test_each_pixel_belongs_to_the_first_class_that_takes_it() -> None:
+    truth = np.full((120, 160), 20.0, np.float32)
+    truth[:30] = 0  # sky
+    truth[70:, 90:] = 14.0  # a wall before another
+    truth[100:, 20:60] = 5.0  # nearer than the sweep begins
+    seen = np.full(truth.shape, 2)
+    seen[50:60], seen[60:65] = 0, 1
+    of = error_classes.classes(truth, seen, 10.0, 30.0)
+    at = {(55, 4): 0, (62, 50): 1, (34, 80): 2, (80, 2): 2, (90, 88): 3, (105, 30): 4, (45, 80): 5, (85, 130): 5}
+    assert {place: int(of[place]) for place in at} == at
+
+    depth, confidence = truth + 1, np.where(truth > 0, 0.9, 0.2)
+    depth[50:60] += 5
+    found = error_classes.shares(depth, confidence, truth, DepthRange.of(10.0, 20.0), of)
+    assert found.epe.sum() == pytest.approx(depth_errors(depth, truth, DepthRange.of(10.0, 20.0)).epe)
+    assert found.far_off[0] == found.epe[0] > found.epe[1] and found.sky == pytest.approx(0.2)

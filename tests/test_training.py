@@ -16,6 +16,7 @@ import zipfile
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -23,12 +24,15 @@ from box_scene import BOX, cast, make_view
 from conftest import ROOT
 from PIL import Image
 
+from curecon_blender.core.network.refinement import Refined
 from curecon_blender.core.network.weights import load_network
 from training import build_assets, generator
-from training.assets import Assets, overcast_texture
+from training.assets import Assets, Material, overcast_texture
 from training.cameras import draw_rig
 from training.dataset import Sample, training_sample
 from training.generator import Scene
+from training.losses import refinement_loss
+from training.procedural import Recess, panel, straight
 from training.scene import compose
 from training.train import State, batch_tensors, bf16_gains, restart, save, start, step
 
@@ -260,3 +264,26 @@ def test_an_asset_folder_is_built_from_the_games_archive(tmp_path: Path, monkeyp
     assert texture[60].mean(0) @ [1, 0, -1] > 100 > -100 > texture[200].mean(0) @ [1, 0, -1]
     assert assets.lighting(assets.names("sky")[0]).shape == (9, 3) and "Wildfire" in (
         tmp_path / "assets" / "SOURCES.md").read_text()
+
+
+def test_one_sees_through_an_opening_and_not_through_the_wall() -> None:
+    wall = panel(8.0, 4.0, straight(np.zeros(3), *np.eye(3)[[0, 2]], np.array([0, -1.0, 0])),
+                 [Recess(1, 3, 1, 3, -0.5, open=True), Recess(5, 6, 0, 4, -0.5)], lambda points: 0 * points[:, 0], 0.5,
+                 Material("plaster:0"))
+    drawn = np.zeros((400, 800), np.uint8)
+    for corners in wall.positions[wall.faces][..., [0, 2]]:
+        cv2.fillConvexPoly(drawn, np.round(corners * 100).astype(np.int32), 1)
+    assert not drawn[110:290, 110:290].any()
+    assert drawn[:, 310:].mean() > 0.99 and drawn[:90].mean() > 0.99
+
+
+def test_a_guess_too_deep_costs_more_than_one_as_many_intervals_too_near() -> None:
+    truth = torch.full((1, 1, 4, 4), 0.7)
+
+    def loss(t: float) -> float:
+        candidates = torch.cat([truth, truth + t, truth, truth], 1)
+        probability = torch.tensor([0.5, 0.5, 0, 0]).view(1, 4, 1, 1).expand(1, 4, 4, 4)
+        refined = Refined(truth, torch.zeros_like(truth), candidates, probability)
+        return float(refinement_loss(refined, truth, torch.ones_like(truth) > 0, 0.002, torch.tensor([0.1])))
+
+    assert loss(0.0) < loss(-0.2) < loss(0.2)

@@ -19,7 +19,11 @@ INTERVALS = 128  # of the sweep, as BlendedMVS counts its errors
 NEAR = 40.0  # intervals of the finest level beyond which an error counts for little more
 FAR_WEIGHT = 0.05  # of each further interval
 PLANES_WEIGHT = 0.1
-RISK_WEIGHT = 1.0  # of the error, in intervals of the sweep, to be expected from the candidates and their probabilities
+# Of the error to be expected from the candidates and their probabilities: in intervals of the sweep, and in
+# INTERVALS-ths of the true depth, since an interval at a deep sweep's far end is many metres.
+RISK_WEIGHT = 0.5
+DEPTH_RISK_WEIGHT = 0.5
+FARTHEST = 3.0  # times too deep: a guess beyond costs no more
 
 
 def unified_label(t: Tensor, first: Tensor, interval: float, count: int) -> Tensor:
@@ -85,10 +89,11 @@ def total_loss(outputs: list[LevelOutput], t: Tensor, valid: Tensor, representat
     return loss
 
 
-def refinement_loss(refined: Refined, t: Tensor, valid: Tensor, interval: float) -> Tensor:
+def refinement_loss(refined: Refined, t: Tensor, valid: Tensor, interval: float, ratio: Tensor) -> Tensor:
     """Of the choice between candidates, of the depth, and of how sure it is (where there is no surface, it is wrong).
 
-    `t`, `valid` (B,1,H,W) at full resolution; `interval` in t, of the finest level. A candidate is as likely as it is
+    `t`, `valid` (B,1,H,W) at full resolution; `interval` in t, of the finest level; `ratio` (B,) of the sweep's near to
+    its far end. A candidate is as likely as it is
     near, by a Laplace distribution, where a large error counts not much more than a middling one; and those far off
     cost what they are off by, or a guess at what no source sees would be as often far away as near.
     """
@@ -98,8 +103,10 @@ def refinement_loss(refined: Refined, t: Tensor, valid: Tensor, interval: float)
     error = (refined.t - t).abs()
     off = error / interval
     per_pixel = off.log1p() + FAR_WEIGHT * off - 0.5 * torch.logsumexp(near, 1, keepdim=True)
-    per_pixel = per_pixel + RISK_WEIGHT * INTERVALS * (
-        refined.probability * (refined.candidates - t).abs()).sum(1, keepdim=True)
+    slope = (ratio - 1).view(-1, 1, 1, 1)  # of inverse depth over t, in units of its value at the near end
+    times = (1 + slope * t) / (1 + slope * refined.candidates)
+    cost = RISK_WEIGHT * (refined.candidates - t).abs() + DEPTH_RISK_WEIGHT * (times.clamp_max(FARTHEST) - 1).abs()
+    per_pixel = per_pixel + INTERVALS * (refined.probability * cost).sum(1, keepdim=True)
     # The planes across the picture part its surfaces among them, chosen or not: what is never near is never chosen.
     per_pixel = per_pixel - PLANES_WEIGHT * torch.logsumexp(close[:, -PLANES:], 1, keepdim=True)
     right = valid & (error.detach() * INTERVALS < 1)

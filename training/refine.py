@@ -109,13 +109,14 @@ def crop_of(path: Path, rng: np.random.Generator) -> dict[str, Tensor]:
                  for name in scale}
         interval = torch.tensor(float(data["interval"]))
         points = spoiled(data["points"] - np.array((x, y, 0, 0), np.float32), rng)
-        grid = rasterised(points, float(data["near"]), float(data["far"]), CROP)
+        near, far = float(data["near"]), float(data["far"])
+        grid = rasterised(points, near, far, CROP)
     found = {name: (value if len(value) == 3 else value.permute(2, 0, 1))[None] for name, value in found.items()}
     found["points"] = torch.from_numpy(grid)[None]
     for axis in (2, 3):
         if rng.random() < 0.5:
             found = {name: value.flip(axis) for name, value in found.items()}
-    return {**found, "interval": interval}
+    return {**found, "interval": interval, "ratio": torch.tensor([near / far])}
 
 
 def spoiled(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -129,16 +130,16 @@ def spoiled(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return kept
 
 
-def step(state: State, crop: dict[str, Tensor], horizon: int) -> dict[str, float]:
+def step(state: State, crop: dict[str, Tensor], horizon: int, rate: float) -> dict[str, float]:
     """One optimiser step of the refinement; returns the figures for the log, those of the cascade among them."""
     for group in state.optimiser.param_groups:
-        group["lr"] = learning_rate(state.steps, horizon)
+        group["lr"] = rate * learning_rate(state.steps, horizon)
     truth, valid, interval = crop["truth"], crop["valid"] > 0, float(crop["interval"])
     with torch.autocast("cpu", torch.bfloat16, enabled=BF16):
         refinement = cast(Refinement, state.network.refinement)
         proposal = refinement(crop["image"], crop["t"], crop["shares"], interval, crop["points"])
     refined = plain_choice(crop["t"], proposal, interval)
-    value = refinement_loss(refined, truth, valid, interval)
+    value = refinement_loss(refined, truth, valid, interval, crop["ratio"])
     state.optimiser.zero_grad(set_to_none=True)
     value.backward()
     if torch.nn.utils.clip_grad_norm_(refinement.parameters(), GRADIENT_NORM).isfinite():
@@ -162,6 +163,7 @@ def main() -> None:
     parser.add_argument("--maps", type=int, default=1000, help="of the cascade, made before training begins")
     parser.add_argument("--minutes", type=float, default=9.0)
     parser.add_argument("--horizon", type=int, default=10000, help="steps at which the learning rate has come down")
+    parser.add_argument("--rate", type=float, default=1.0, help="of learning, times training.train's")
     options = parser.parse_args()
     scenes = sorted(options.scenes.glob("*.npz"))
     if not scenes:
@@ -186,7 +188,7 @@ def main() -> None:
     sums: list[dict[str, float]] = []
     with open(options.run / "log.jsonl", "a") as log:
         while not stopped():
-            sums.append(step(state, crop_of(maps[int(rng.integers(len(maps)))], rng), options.horizon))
+            sums.append(step(state, crop_of(maps[int(rng.integers(len(maps)))], rng), options.horizon, options.rate))
             if len(sums) == 200:
                 line = {"steps": state.steps, "seconds": round(time.monotonic() - began, 1),
                         **{name: round(float(np.mean([s[name] for s in sums])), 4) for name in sums[0]}}

@@ -201,7 +201,7 @@ def step(
     estimate = outputs[-1].t
     if proposal is not None:
         refined = plain_choice(estimate.detach(), proposal, outputs[-1].interval)
-        value = value + refinement_loss(refined, t, valid, outputs[-1].interval)
+        value = value + refinement_loss(refined, t, valid, outputs[-1].interval, batch["near"] / batch["far"])
         estimate = refined.t
     state.optimiser.zero_grad(set_to_none=True)
     value.backward()
