@@ -12,13 +12,14 @@ import pycolmap
 import pytest
 
 from curecon_blender.core.base.errors import WorkspaceError
-from curecon_blender.core.base.geodesy import enu_to_geodetic, geodetic_to_enu
+from curecon_blender.core.base.geodesy import enu_to_geodetic, geodetic_to_enu, gps_enu
 from curecon_blender.core.base.records import Frame, GeoPosition, Gimbal, Photo
 from curecon_blender.core.base.rotations import from_gimbal
 from curecon_blender.core.sparse import record
 from curecon_blender.core.sparse.placement import Placement, place
 
-SITE = GeoPosition(latitude=24.6612, longitude=117.0523, altitude=423.0)  # the Tulou of Fujian
+# The Tulou of Fujian.
+SITE = GeoPosition(latitude=24.6612, longitude=117.0523, altitude=423.0, altitude_datum="sea level")
 UNKNOWN = pycolmap.Sim3d(0.07, pycolmap.Rotation3d(np.array([0.3, -0.5, 0.2, 0.8])), np.array([3.0, -2.0, 5.0]))
 GROUND = 150  # sparse points of the ground, the first of the model
 
@@ -66,7 +67,7 @@ def make_photos(centres: np.ndarray, *, gps: bool = True, noise: float = 0.5) ->
     return {
         name: Photo(
             name=name, path=Path(name), width=1200, height=900, camera="c", focal_px=900,
-            gps=GeoPosition(latitude=p[0], longitude=p[1], altitude=p[2]) if gps else None,
+            gps=replace(SITE, latitude=p[0], longitude=p[1], altitude=p[2]) if gps else None,
         )
         for name, p in zip(names, positions.tolist(), strict=True)
     }
@@ -97,6 +98,7 @@ def test_gps_gives_metres_up_and_north_in_spite_of_an_outlier() -> None:
     placement = place(model, photos)
     frame = placement.frame
     assert (frame.scale, frame.up, frame.north) == ("metres", "gps", True)
+    assert frame.origin is not None and frame.origin.altitude_datum == "sea level"
     assert frame.gps_residual is not None and frame.gps_residual < 1.5
     assert placement.gps_residuals["03.jpg"] == pytest.approx(222, abs=5)
     assert frame.origin is not None
@@ -108,6 +110,14 @@ def test_gps_gives_metres_up_and_north_in_spite_of_an_outlier() -> None:
     assert height_of_the_ground(model) == pytest.approx(0, abs=0.2)
     assert frame.origin.altitude == pytest.approx(SITE.altitude, abs=2.0)  # what is at 0 now was there
     assert tilt(model, rotations) < 1.0
+
+
+def test_altitudes_of_two_data_give_one_of_unknown_datum() -> None:
+    photos = list(make_photos(orbit()[0]).values())
+    gps = photos[0].gps
+    assert gps is not None and gps_enu(photos)[1].altitude_datum == "sea level"
+    photos[0] = replace(photos[0], gps=replace(gps, altitude_datum="ellipsoid"))
+    assert gps_enu(photos)[1].altitude_datum == "unknown"
 
 
 def test_a_straight_flight_takes_its_tilt_from_the_gimbal() -> None:

@@ -124,6 +124,38 @@ class TestMetadata:
         assert told.gps is not None
         assert told.gps.altitude == -12.5
 
+    @pytest.mark.parametrize(("version", "reference", "altitude", "datum"), [
+        (b"0230", b"\x00", 349.583, "sea level"), (b"0230", b"\x01", -349.583, "sea level"),
+        (b"0300", b"\x00", 349.583, "ellipsoid"), (b"0300", b"\x01", -349.583, "ellipsoid"),
+        (b"0300", b"\x02", 349.583, "sea level"), (b"0300", b"\x03", -349.583, "sea level"),
+        (b"0232", b"\x02", 349.583, "sea level"), (None, b"\x00", 349.583, "sea level"),
+        (b"0230", None, 349.583, "unknown"), (b"0230", b"\x09", 349.583, "unknown"),
+    ])
+    def test_exif_says_what_an_altitude_counts_from(
+        self, tmp_path: Path, version: bytes | None, reference: bytes | None, altitude: float, datum: str
+    ) -> None:
+        tags = exif(camera={0x9000: version}, gps={**SOUTH_WEST, 5: reference})
+        gps = read_metadata(save(tmp_path / "x.jpg", 1, exif=tags)).gps
+        assert gps is not None
+        assert (gps.altitude, gps.altitude_datum) == (pytest.approx(altitude), datum)
+
+    @pytest.mark.parametrize(("tags", "datum"), [
+        (b'drone-dji:RtkFlag="50"', "ellipsoid"), (b'drone-dji:AltitudeType="RtkAlt"', "ellipsoid"),
+        (b'drone-dji:RtkFlag="34"', "unknown"), (b'drone-dji:RtkFlag="0"', "sea level"), (b"", "sea level"),
+        (b'xmlns:Camera="http://pix4d.com/camera/1.0/" Camera:VertCS="ellipsoidal"', "ellipsoid"),
+        (b'xmlns:Camera="http://pix4d.com/camera/1.0" Camera:VertCS="EPSG:5773"', "sea level"),
+    ])
+    def test_the_drone_knows_better_what_an_altitude_counts_from(
+        self, tmp_path: Path, tags: bytes, datum: str
+    ) -> None:
+        packet = DJI_ATTRIBUTES.replace(b"/>", b" " + tags + b"/>")
+        gps = read_metadata(save(tmp_path / "x.jpg", 1, exif=exif(gps=SOUTH_WEST), xmp=packet)).gps
+        assert gps is not None
+        assert gps.altitude_datum == datum
+        alone = read_metadata(save(tmp_path / "y.jpg", 1, xmp=packet)).gps  # of XMP's altitude, EXIF says nothing
+        assert alone is not None
+        assert alone.altitude_datum == ("unknown" if b"RtkFlag=\"0\"" in tags or not tags else datum)
+
     def test_focal_length_by_the_focal_plane(self, tmp_path: Path) -> None:
         # 10 mm at 4000 pixels per 13.2 mm, in a photo since scaled down from 4000 pixels to 320.
         tags = exif(camera={0xA405: None, 0x920A: 10.0, 0xA20E: 4000 / 13.2, 0xA210: 4, 0xA002: 4000, 0xA003: 3000})

@@ -30,7 +30,8 @@ from curecon_blender.core.surface.export import Provenance
 WEB = Path(__file__).parent / "web"
 PATIENCE = 240  # seconds for the page on a busy computer
 QUARTERS = np.array([(200, 40, 30), (40, 180, 60), (50, 70, 200), (220, 200, 60)])
-ORIGIN = {"crs": "WGS84", "latitude": 24.5, "longitude": 117.25, "altitude": 310.0}
+ORIGIN = {"crs": "WGS84", "latitude": 24.5, "longitude": 117.25, "altitude": 310.0,
+          "altitude_datum": "sea level"}
 
 
 @pytest.fixture(scope="module", params=["4.5", "5.2"])
@@ -148,7 +149,7 @@ def test_an_obj_reads_back_in_the_site_frame(exports: Path, name: str) -> None:
     path = exports / f"{name}.obj"
     head = path.read_text(encoding="utf-8").splitlines()[:5]
     assert "Z up, x east, y north, metres" in head[0]
-    assert "latitude 24.500000000 longitude 117.250000000 altitude 310.0000" in head[1]
+    assert "latitude 24.500000000 longitude 117.250000000 altitude 310.0000 above sea level" in head[1]
     assert "# credit: 福建 Team and Co" in head
     # trimesh splits at spaces, so it wants the material file under a name without.
     plain = path.with_name("read_" + path.name.replace(" ", "_"))
@@ -250,8 +251,18 @@ def test_what_is_unknown_is_not_written() -> None:
     assert unknown.copyright == "" and unknown.lines() == ["CU-Recon: Z up, of unknown scale"]
     assert set(unknown.extras()) == {"generator", "scale", "north"}
     sneaky = Provenance(scale="metres", north=True, credit="A\nend_header\n", origin=GeoPosition(**{
-        name: ORIGIN[name] for name in ("latitude", "longitude", "altitude")}))
+        name: value for name, value in ORIGIN.items() if name != "crs"}))
     assert not any("\n" in line for line in sneaky.lines())
+
+
+@pytest.mark.parametrize(("datum", "words"), [
+    ("ellipsoid", "above the WGS84 ellipsoid"), ("sea level", "above sea level"), ("unknown", "of unknown datum"),
+])
+def test_an_altitude_is_labelled_with_what_it_counts_from(datum: str, words: str) -> None:
+    origin = GeoPosition(latitude=24.5, longitude=117.25, altitude=310.0, altitude_datum=datum)
+    about = Provenance(scale="metres", north=True, origin=origin)
+    assert about.lines()[1].endswith(f"altitude 310.0000 {words}")
+    assert about.extras()["origin"]["altitude_datum"] == datum
 
 
 def test_a_file_that_is_no_glb_is_an_error_in_words(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -147,9 +147,10 @@ def _provenance(item: bpy.types.Object, choices: Choices) -> Provenance:
     origin = None
     if choices.position and "origin_latitude" in item:
         try:
-            origin = build(GeoPosition, {
-                name: item.get(f"origin_{name}") for name in ("latitude", "longitude", "altitude")
-            })
+            told = {field.name: item.get(f"origin_{field.name}") for field in fields(GeoPosition)}
+            if told["altitude_datum"] is None:  # a surface imported before datums were kept
+                del told["altitude_datum"]
+            origin = build(GeoPosition, told)
         except ValueError as error:
             raise WorkspaceError(
                 f"The GPS position of {item.name} is none ({error}).",

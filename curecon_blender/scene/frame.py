@@ -9,7 +9,7 @@ else, and in the workspace, where imports find it; `keep_up` makes the file foll
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
 import bpy
@@ -17,7 +17,7 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 from ..core.base.reading import build, parse_json
-from ..core.base.records import Component, Frame
+from ..core.base.records import Component, Frame, GeoPosition
 from ..core.site import adjustment as adjustments
 from ..core.site.adjustment import Adjustment
 from . import points, surface
@@ -209,8 +209,8 @@ def _put(collection: bpy.types.Collection, adjustment: Adjustment) -> None:
     frame = part.frame
     known = {"scale": frame.scale, "scale_source": part.scale_source or None, "up": frame.up, "north": frame.north,
              "note": frame.note or None, "gps_residual": frame.gps_residual}
-    for name in ("latitude", "longitude", "altitude"):
-        known[f"origin_{name}"] = None if frame.origin is None else getattr(frame.origin, name)
+    for field in fields(GeoPosition):
+        known[f"origin_{field.name}"] = None if frame.origin is None else getattr(frame.origin, field.name)
     for holder in (collection, *filter(surface.is_surface, collection.all_objects)):
         for name, value in known.items():
             if value is not None:

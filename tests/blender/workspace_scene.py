@@ -62,7 +62,7 @@ def write(folder: Path, *, parts: int = 1, scale: str = "metres", placed: bool =
         picture.file_format = "PNG"
         picture.save()
     bpy.data.images.remove(picture)
-    origin = GeoPosition(latitude=24.5, longitude=117.25, altitude=310.0) if placed else None
+    origin = GeoPosition(latitude=24.5, longitude=117.25, altitude=310.0, altitude_datum="sea level")
     made = []
     for part in range(parts):
         (folder / "sparse" / str(part)).mkdir(parents=True)
@@ -75,7 +75,7 @@ def write(folder: Path, *, parts: int = 1, scale: str = "metres", placed: bool =
             ))
         made.append(Component(
             index=part, sparse=f"sparse/{part}", cloud="cloud.ply" if part == 0 else f"cloud_{part}.ply",
-            frame=Frame(scale=scale, up="gps", north=placed, origin=origin, note="A slab."), views=tuple(views),
+            frame=Frame(scale=scale, up="gps", north=placed, origin=origin if placed else None, note="A slab."), views=tuple(views),
         ))
         with CloudWriter(folder / made[-1].cloud) as writer:
             writer.write(cloud())

@@ -8,14 +8,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .records import GeoPosition, Photo
+from .records import UNKNOWN, GeoPosition, Photo
 
 _WGS84_A = 6378137.0
 _WGS84_E2 = (1 / 298.257223563) * (2 - 1 / 298.257223563)
 
 
 def geodetic_to_enu(positions: np.ndarray, origin: GeoPosition) -> np.ndarray:
-    """(N,3) latitude, longitude (degrees), altitude (metres) on WGS84 -> (N,3) metres east, north, up of `origin`."""
+    """(N,3) latitude, longitude (degrees), altitude (metres) on WGS84 -> (N,3) metres east, north, up of `origin`.
+
+    Altitudes count from the origin's own datum: over a site the geoid is as good as parallel to the ellipsoid.
+    """
     reference = np.array([[origin.latitude, origin.longitude, origin.altitude]])
     return (_ecef(positions) - _ecef(reference)) @ _enu_from_ecef(origin).T
 
@@ -36,10 +39,16 @@ def enu_to_geodetic(enu: np.ndarray, origin: GeoPosition) -> np.ndarray:
 
 
 def gps_enu(photos: Sequence[Photo]) -> tuple[np.ndarray, GeoPosition]:
-    """Camera positions (N,3) in metres east, north, up of their median; every photo must have GPS."""
-    positions = np.array([[p.gps.latitude, p.gps.longitude, p.gps.altitude] for p in photos if p.gps is not None])
-    origin = GeoPosition(**dict(zip(("latitude", "longitude", "altitude"), np.median(positions, 0).tolist(),
-                                    strict=True)))
+    """Camera positions (N,3) in metres east, north, up of their median; every photo must have GPS. The median's
+    altitude is of unknown datum where the photos' data differ."""
+    places = [photo.gps for photo in photos if photo.gps is not None]
+    positions = np.array([[place.latitude, place.longitude, place.altitude] for place in places])
+    latitude, longitude, altitude = np.median(positions, axis=0).tolist()
+    data = {place.altitude_datum for place in places}
+    origin = GeoPosition(
+        latitude=latitude, longitude=longitude, altitude=altitude,
+        altitude_datum=data.pop() if len(data) == 1 else UNKNOWN,
+    )
     return geodetic_to_enu(positions, origin), origin
 
 

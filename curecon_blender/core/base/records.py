@@ -12,14 +12,18 @@ import numpy as np
 
 from .reading import FARTHEST, FILE_NAME, INSIDE, OneOf, Shape, Within
 
+# What altitudes are counted from. The two lie up to 105 metres apart (the geoid's undulation).
+ELLIPSOID, SEA_LEVEL, UNKNOWN = "ellipsoid", "sea level", "unknown"
+
 
 @dataclass(frozen=True, kw_only=True)
 class GeoPosition:
-    """A geodetic position on WGS84: degrees, degrees, metres."""
+    """A geodetic position on WGS84: degrees, degrees, metres above what `altitude_datum` says."""
 
     latitude: Annotated[float, Within(-90, 90)]
     longitude: Annotated[float, Within(-180, 180)]
     altitude: Annotated[float, Within(-100_000, 100_000)]
+    altitude_datum: Annotated[str, OneOf(ELLIPSOID, SEA_LEVEL, UNKNOWN)] = UNKNOWN
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,12 +16,13 @@ from xml.etree import ElementTree
 from PIL import ExifTags, Image
 
 from ..base.images import exif_tags, open_image, oriented_size
-from ..base.records import GeoPosition, Gimbal
+from ..base.records import ELLIPSOID, SEA_LEVEL, UNKNOWN, GeoPosition, Gimbal
 from .capture import FIRST_YEAR, LAST_YEAR
 
 _MOST_XMP = 1 << 20  # bytes; drones write some 4 kB
 _MOST_TEXT = 100  # characters of a tag
-_DJI = "{http://www.dji.com/drone-dji/1.0/}"
+_NAMESPACES = ("{http://www.dji.com/drone-dji/1.0/}", "{http://pix4d.com/camera/1.0/}", "{http://pix4d.com/camera/1.0}")
+_RTK_FIXED = 50  # DJI's RtkFlag of a fixed solution; 16 is a single point, 34 a floating one
 _FILM_DIAGONAL = math.hypot(36, 24)  # mm
 _FOCAL_PLANE_UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # EXIF FocalPlaneResolutionUnit, in mm
 # Sensor widths in mm of the drone cameras whose files carry no 35 mm equivalent (makers' specifications).
@@ -34,7 +35,7 @@ _SENSOR_WIDTHS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Metadata:
-    """See Photo in types.py for units; every field is None (or empty) where the photo does not tell."""
+    """See Photo in base/records.py for units; every field is None (or empty) where the photo does not tell."""
 
     camera: str  # make, model, focal length and serial number: photos with the same share intrinsics
     focal_px: float | None
@@ -54,14 +55,14 @@ def from_image(image: Image.Image) -> Metadata:
     """The metadata of an image that is open and not yet decoded."""
     main = exif_tags(image)
     exif = exif_tags(image, ExifTags.IFD.Exif)
-    dji = _dji_tags(image.info.get("xmp"))
+    xmp = _xmp_tags(image.info.get("xmp"))
     model = _text(main.get(ExifTags.Base.Model))
     return Metadata(
         camera=_camera(main, exif, model),
-        focal_px=_focal_px(exif, dji, model, *oriented_size(image)),
-        gps=_position(exif_tags(image, ExifTags.IFD.GPSInfo), dji),
-        gimbal=_gimbal(dji),
-        relative_altitude=_height(dji.get("RelativeAltitude")),
+        focal_px=_focal_px(exif, xmp, model, *oriented_size(image)),
+        gps=_position(exif_tags(image, ExifTags.IFD.GPSInfo), exif, xmp),
+        gimbal=_gimbal(xmp),
+        relative_altitude=_height(xmp.get("RelativeAltitude")),
         time=_time(main, exif),
     )
 
@@ -119,7 +120,7 @@ def _calibrated_focal(dji: Mapping[str, str], longest: int, taken: float) -> flo
     return scale * calibrated if calibrated else None
 
 
-def _position(tags: Mapping[int, Any], dji: Mapping[str, str]) -> GeoPosition | None:
+def _position(tags: Mapping[int, Any], exif: Mapping[int, Any], dji: Mapping[str, str]) -> GeoPosition | None:
     latitude = _angle(tags.get(ExifTags.GPS.GPSLatitude), tags.get(ExifTags.GPS.GPSLatitudeRef), "NS")
     longitude = _angle(tags.get(ExifTags.GPS.GPSLongitude), tags.get(ExifTags.GPS.GPSLongitudeRef), "EW")
     if not _is_place(latitude, longitude) or _text(tags.get(ExifTags.GPS.GPSStatus)) == "V":
@@ -129,7 +130,8 @@ def _position(tags: Mapping[int, Any], dji: Mapping[str, str]) -> GeoPosition | 
     altitude = next((a for a in altitudes if a is not None), None)
     if latitude is None or longitude is None or altitude is None or not _is_place(latitude, longitude):
         return None
-    return GeoPosition(latitude=latitude, longitude=longitude, altitude=altitude)
+    datum = _altitude_datum(tags if altitudes[0] is not None else {}, exif, dji)
+    return GeoPosition(latitude=latitude, longitude=longitude, altitude=altitude, altitude_datum=datum)
 
 
 def _is_place(latitude: float | None, longitude: float | None) -> bool:
@@ -153,8 +155,31 @@ def _angle(value: Any, reference: Any, letters: str) -> float | None:
 
 def _altitude(tags: Mapping[int, Any]) -> float | None:
     altitude = _number(tags.get(ExifTags.GPS.GPSAltitude))
-    below_sea = tags.get(ExifTags.GPS.GPSAltitudeRef) in (1, b"\x01")
-    return _height(-altitude if altitude is not None and below_sea else altitude)
+    below = _altitude_reference(tags) in (1, 3)
+    return _height(-altitude if altitude is not None and below else altitude)
+
+
+def _altitude_reference(tags: Mapping[int, Any]) -> int | None:
+    value = tags.get(ExifTags.GPS.GPSAltitudeRef)
+    if isinstance(value, bytes):
+        value = value[0] if len(value) == 1 else None
+    return value if isinstance(value, int) and 0 <= value <= 3 else None
+
+
+def _altitude_datum(tags: Mapping[int, Any], exif: Mapping[int, Any], xmp: Mapping[str, str]) -> str:
+    """What the altitude is counted from. An RTK receiver tells the height above the ellipsoid, and DJI writes it into
+    EXIF as it is, with the reference of the sea level. `tags` are empty for an altitude that is not EXIF's."""
+    if named := xmp.get("VertCS"):
+        return ELLIPSOID if "ellipsoid" in named.casefold() else SEA_LEVEL
+    flag = _number(xmp.get("RtkFlag"))
+    if flag == _RTK_FIXED or xmp.get("AltitudeType") == "RtkAlt":
+        return ELLIPSOID
+    reference = _altitude_reference(tags)
+    if flag or reference is None:
+        return UNKNOWN
+    # 0 and 1 were above and below sea level until EXIF 3.0 made them of the ellipsoid, and 2 and 3 of the sea level.
+    since_3 = _text(exif.get(ExifTags.Base.ExifVersion)) >= "0300"
+    return ELLIPSOID if since_3 and reference in (0, 1) else SEA_LEVEL
 
 
 def _height(value: Any) -> float | None:
@@ -183,8 +208,8 @@ def _time(main: Mapping[int, Any], exif: Mapping[int, Any]) -> str | None:
     return None
 
 
-def _dji_tags(packet: bytes | str | None) -> dict[str, str]:
-    """DJI's values in an XMP packet, by name, whether written as attributes or as elements."""
+def _xmp_tags(packet: bytes | str | None) -> dict[str, str]:
+    """DJI's and Pix4D's values in an XMP packet, by name, whether written as attributes or as elements."""
     if not isinstance(packet, bytes | str) or len(packet) > _MOST_XMP:
         return {}
     text = packet.decode("utf-8", "replace") if isinstance(packet, bytes) else packet
@@ -201,8 +226,9 @@ def _dji_tags(packet: bytes | str | None) -> dict[str, str]:
     tags = {}
     for element in root.iter():
         for key, value in (*element.attrib.items(), (element.tag, element.text)):
-            if key.startswith(_DJI) and value and value.strip():
-                tags[key.removeprefix(_DJI)] = value.strip()
+            namespace, _, name = key.rpartition("}")
+            if f"{namespace}}}" in _NAMESPACES and value and value.strip():
+                tags[name] = value.strip()
     return tags
 
 

@@ -6,7 +6,7 @@ so."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pycolmap
@@ -14,7 +14,7 @@ import pycolmap
 from ..base import rotations
 from ..base.geodesy import enu_to_geodetic, geodetic_to_enu, gps_enu
 from ..base.ground import lowest_wide_level
-from ..base.records import Frame, GeoPosition, Photo
+from ..base.records import Frame, Photo
 
 SHORTEST_BASELINE = 5.0  # metres; GPS positions closer together than this say nothing of scale
 WORST_AGREEMENT = 0.4  # median residual over the median distance from the GPS positions' centre; 1 is no agreement
@@ -61,7 +61,7 @@ def place(model: pycolmap.Reconstruction, photos: Mapping[str, Photo]) -> Placem
     # Move the origin from the cameras to the site's middle, then fit once more: ENU axes turn a little with the place.
     middle = _middle_on_the_ground(_apply(fit.enu_from_model, _points(model)))
     latitude, longitude, altitude = enu_to_geodetic(middle[None], origin)[0].tolist()
-    site = GeoPosition(latitude=latitude, longitude=longitude, altitude=altitude)
+    site = replace(origin, latitude=latitude, longitude=longitude, altitude=altitude)
     fit = align_to_gps(cameras.centres[located], geodetic_to_enu(enu_to_geodetic(gps, origin), site), gravity)
     note = f"Metres, Z up and north from the GPS of {len(located)} photos, {fit.median_residual:.2f} m off (median)."
     if fit.on_a_line:

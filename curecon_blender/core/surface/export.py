@@ -17,9 +17,10 @@ from typing import Any
 
 from ..base.errors import WorkspaceError
 from ..base.files import atomic_write
-from ..base.records import GeoPosition
+from ..base.records import ELLIPSOID, SEA_LEVEL, UNKNOWN, GeoPosition
 
 GENERATOR = "CU-Recon"
+_ABOVE = {ELLIPSOID: "above the WGS84 ellipsoid", SEA_LEVEL: "above sea level", UNKNOWN: "of unknown datum"}
 _UNLIT = "KHR_materials_unlit"
 _GLB, _JSON = 0x46546C67, 0x4E4F534A  # "glTF", "JSON"
 
@@ -53,7 +54,7 @@ class Provenance:
         lines = [f"{GENERATOR}: Z up, {'x east, y north, ' if self.north else ''}{unit}"]
         if self.origin is not None:
             lines.append(f"origin WGS84 latitude {self.origin.latitude:.9f} longitude {self.origin.longitude:.9f} "
-                         f"altitude {self.origin.altitude:.4f}")
+                         f"altitude {self.origin.altitude:.4f} {_ABOVE[self.origin.altitude_datum]}")
         return lines + [f"{name}: {text}" for name in ("licence", "credit") if (text := _one_line(getattr(self, name)))]
 
 
