@@ -75,7 +75,8 @@ def write(folder: Path, *, parts: int = 1, scale: str = "metres", placed: bool =
             ))
         made.append(Component(
             index=part, sparse=f"sparse/{part}", cloud="cloud.ply" if part == 0 else f"cloud_{part}.ply",
-            frame=Frame(scale=scale, up="gps", north=placed, origin=origin if placed else None, note="A slab."), views=tuple(views),
+            frame=Frame(scale=scale, up="gps", north=placed, origin=origin if placed else None, note="A slab."),
+            views=tuple(views),
         ))
         with CloudWriter(folder / made[-1].cloud) as writer:
             writer.write(cloud())
