@@ -66,8 +66,8 @@ def measure(width: int, height: int, sources: int, device: str, precision: str, 
             return run
 
         estimator._features_of = timed(lambda *_: "features", estimator._features_of)  # type: ignore[method-assign]
-        network.regularisers_input = timed(  # type: ignore[method-assign]
-            lambda level, *_: f"level {level}", network.regularisers_input)
+        network.regulariser_input = timed(  # type: ignore[method-assign]
+            lambda level, *_: f"level {level}", network.regulariser_input)
         for level, regulariser in enumerate(network.regularisers):
             for part in (regulariser.enter, regulariser):
                 part.forward = timed(lambda *_, level=level: f"level {level}", part.forward)

@@ -14,15 +14,14 @@ from box_scene import cast, make_view, write_scene
 from curecon_blender.core.base.errors import DeviceError
 from curecon_blender.core.base.options import Options
 from curecon_blender.core.depth.estimate import DepthEstimator, Tile, plan_tiles, visible_region
-from curecon_blender.core.network.cost_volume_cpu import Matching, fused_cost_volume
+from curecon_blender.core.network.config import PAPER
+from curecon_blender.core.network.cost_volume_cpu import CostVolumeInput, fused_cost_volume
+from curecon_blender.core.network.homographies import homography_terms, pixel_grid
 from curecon_blender.core.network.model import (
-    PAPER,
     LCMMVSNet,
     decode_linear,
     decode_unified,
     depth_from_t,
-    homography_terms,
-    pixel_grid,
     plain_cost_volume,
     t_from_depth,
     warp,
@@ -234,7 +233,7 @@ def test_the_fused_cost_volume_is_the_plain_one_with_its_gradients(level: int, v
     results = []
     for compute in (plain_cost_volume, fused_cost_volume):
         own = [value.clone().requires_grad_() for value in values]
-        volume = compute(Matching(own[0], own[1:4], terms, weights, inverse_depth), 8, own[4],
+        volume = compute(CostVolumeInput(own[0], own[1:4], terms, weights, inverse_depth), 8, own[4],
                          own[5] if visibility else None)
         (volume * upstream).sum().backward()
         results.append([volume, *[value.grad for value in own[: 6 if visibility else 5]]])

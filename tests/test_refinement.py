@@ -10,18 +10,18 @@ import pytest
 import torch
 
 from curecon_blender.core.network.refinement import (
-    KINDS,
+    POINT_KINDS,
     RADII,
     SIDES,
     STEP,
     Proposal,
     Refinement,
-    choose,
+    evaluate_planes,
     moments,
     picture_planes,
-    plain_choice,
-    rasterised,
-    said,
+    plain_refined_depth,
+    rasterise_points,
+    refined_depth,
     window_planes,
 )
 
@@ -36,7 +36,7 @@ def sloping(height: int, width: int) -> torch.Tensor:
 
 def offered(planes: list[torch.Tensor]) -> torch.Tensor:
     """What each plane says at the photo's pixels, (P,1,1,H,W)."""
-    return said(torch.stack(planes, 1), STEP)[0, :, None, None]
+    return evaluate_planes(torch.stack(planes, 1), STEP)[0, :, None, None]
 
 
 def test_a_plane_goes_on_across_what_nobody_knows() -> None:
@@ -78,32 +78,32 @@ def test_points_in_a_hole_tell_of_the_surface_there() -> None:
     near, far = 1.0, 20.0
     rows, columns = np.random.default_rng(0).integers(0, (128, 192), (200, 2)).T
     depth = 1 / (1 / near + truth[0, 0, rows, columns].numpy() * (1 / far - 1 / near))
-    grid = torch.from_numpy(rasterised(np.column_stack([columns + 0.5, rows + 0.5, depth, np.zeros(200)]), near, far,
-                                       (192, 128)))[None]
-    found = offered(window_planes(moments(grid[:, :1]) * grid[:, KINDS : KINDS + 1], SIDES[:1]))
+    grid = torch.from_numpy(rasterise_points(
+        np.column_stack([columns + 0.5, rows + 0.5, depth, np.zeros(200)]), near, far, (192, 128)))[None]
+    found = offered(window_planes(moments(grid[:, :1]) * grid[:, POINT_KINDS : POINT_KINDS + 1], SIDES[:1]))
     assert (found[-1] - truth).abs().max() < 2 * INTERVAL
-    assert not grid[:, KINDS + 1].any()  # the photo has matched none of them
+    assert not grid[:, POINT_KINDS + 1].any()  # the photo has matched none of them
 
 
 def test_the_nearest_point_of_a_block_counts_and_none_from_outside() -> None:
     points = np.array([[9.0, 5.0, 4.0, 1.0], [10.5, 6.5, 2.0, 0.0], [33.0, 5.0, 2.0, 1.0], [9.0, -1.0, 2.0, 1.0],
                        [20.0, 5.0, 10.0, 1.0], [20.0, 5.0, 0.5, 1.0]])
-    grid = rasterised(points, 1.0, 9.0, (32, 32))
-    there = grid[KINDS:]
+    grid = rasterise_points(points, 1.0, 9.0, (32, 32))
+    there = grid[POINT_KINDS:]
     assert there.sum() == 2 and (there[:, 1, 2] == 1).all()
-    any_t, matched_t = grid[:KINDS, 1, 2]
+    any_t, matched_t = grid[:POINT_KINDS, 1, 2]
     np.testing.assert_allclose([1 / (1 - t * 8 / 9) for t in (any_t, matched_t)], [2.0, 4.0], rtol=1e-5)
 
 
 def proposed(refinement: Refinement, t: torch.Tensor) -> Proposal:
-    points = torch.from_numpy(rasterised(np.array([[50.0, 30.0, 2.0, 1.0]]), 1.0, 9.0, (96, 64)))[None]
+    points = torch.from_numpy(rasterise_points(np.array([[50.0, 30.0, 2.0, 1.0]]), 1.0, 9.0, (96, 64)))[None]
     found: Proposal = refinement(torch.rand(1, 3, 64, 96), t, torch.full((1, 3, 64, 96), 0.9), INTERVAL, points)
     return found
 
 
 def test_a_new_one_keeps_the_estimate() -> None:
     t = sloping(64, 96)
-    refined = plain_choice(t, proposed(Refinement(8), t), INTERVAL)
+    refined = plain_refined_depth(t, proposed(Refinement(8), t), INTERVAL)
     assert (refined.t - t).abs().max() < INTERVAL
     assert refined.probability.argmax(1).eq(0).all()
     torch.testing.assert_close(refined.probability.sum(1), torch.ones(1, 64, 96))
@@ -117,10 +117,10 @@ def test_the_fused_choice_is_the_plain_one(decided: float) -> None:
     t = sloping(64, 96) + 0.02 * torch.randn(1, 1, 64, 96)
     with torch.inference_mode():
         proposal = proposed(refinement, t)
-        plain = plain_choice(t, proposal, INTERVAL)
-        fused_t, fused_sure = choose(t, proposal, INTERVAL)
+        plain = plain_refined_depth(t, proposal, INTERVAL)
+        fused_t, fused_confidence = refined_depth(t, proposal, INTERVAL)
     torn = plain.probability.amax(1) < 0.5
     assert 0.02 < torn.float().mean() < 0.98  # both ways of choosing are there
     # Where a candidate lies just within reach of another, or just not, a last bit may decide.
     assert ((fused_t - plain.t).abs() < 1e-5).float().mean() > 0.999
-    torch.testing.assert_close(fused_sure, plain.sure)
+    torch.testing.assert_close(fused_confidence, plain.confidence_logit)

@@ -28,8 +28,9 @@ from torch import Tensor
 
 from curecon_blender.core.base.allocator import use_large_pages
 from curecon_blender.core.network import model as network_module
-from curecon_blender.core.network.cost_volume_cpu import Matching
-from curecon_blender.core.network.model import PAPER, LCMMVSNet, LevelOutput, NetworkConfig
+from curecon_blender.core.network.config import PAPER, NetworkConfig
+from curecon_blender.core.network.cost_volume_cpu import CostVolumeInput
+from curecon_blender.core.network.model import LCMMVSNet, LevelOutput
 from training import train
 from training.dataset import Sample, training_sample
 from training.generator import load
@@ -50,16 +51,16 @@ class Rival:
     equal_scores: bool = False
 
 
-def variance(self: LCMMVSNet, level: int, given: Matching, out: Tensor | None = None) -> Tensor:
+def variance(self: LCMMVSNet, level: int, inputs: CostVolumeInput, out: Tensor | None = None) -> Tensor:
     """MVSNet's cost in place of Eq. 2: the variance over the views, in the mean of a group's channels."""
-    b, c = given.reference.shape[:2]
+    b, c = inputs.reference.shape[:2]
     k = self.config.groups[level]
-    first = given.reference.unsqueeze(2).expand(-1, -1, given.inverse_depth.shape[1], -1, -1)
+    first = inputs.reference.unsqueeze(2).expand(-1, -1, inputs.inverse_depth.shape[1], -1, -1)
     total, squares = first, first.square()
-    for source, (rotated, shifted) in zip(given.sources, given.terms, strict=True):
-        warped, _ = network_module.warp(source, rotated, shifted, given.inverse_depth)
+    for source, (rotated, shifted) in zip(inputs.sources, inputs.terms, strict=True):
+        warped, _ = network_module.warp(source, rotated, shifted, inputs.inverse_depth)
         total, squares = total + warped, squares + warped.square()
-    count = len(given.sources) + 1
+    count = len(inputs.sources) + 1
     spread = squares / count - (total / count).square()
     cost = spread.reshape(b, k, c // k, *spread.shape[2:]).mean(2)
     return cost if out is None else out.copy_(cost)

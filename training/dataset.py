@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import torch
 
-from curecon_blender.core.network.model import mean_disparity
+from curecon_blender.core.network.homographies import mean_disparity
 from curecon_blender.core.views.scores import depth_range, matching_score
 from curecon_blender.core.views.sparse_points import points_in
 from training.generator import Scene

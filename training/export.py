@@ -5,7 +5,7 @@
     python -m training.export --run DIR --scenes DIR [--out curecon_blender/weights/lcm_mvsnet.safetensors]
 
 The scenes (`python -m training.generator --held-out`) must be none that training saw: it prints the errors there. For
-a network without refinement, a logistic regression learns on them how the levels' shares tell whether a depth is
+a network without refinement, a logistic regression learns on them how the levels' confidences tell whether a depth is
 within one interval; in the sky, none is.
 """
 
@@ -20,7 +20,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from curecon_blender.core.network.model import LCMMVSNet, full_shares, t_from_depth
+from curecon_blender.core.network.model import LCMMVSNet, level_confidences, t_from_depth
 from curecon_blender.core.network.weights import SHIPPED, save_network
 from training.dataset import training_sample
 from training.generator import load
@@ -33,8 +33,8 @@ PIXELS = 4000  # a sample
 
 @torch.no_grad()
 def observe(network: LCMMVSNet, scenes: list[Path], samples: int, sources: int) -> tuple[Tensor, Tensor]:
-    """Logit shares (P,3) by level 0, 1, 2, and the estimate's error in intervals (P,), infinite where there is no
-    surface within the sweep, of random pixels of the scenes."""
+    """Logits of the confidences (P,3) by level 0, 1, 2, and the estimate's error in intervals (P,), infinite where
+    there is no surface within the sweep, of random pixels of the scenes."""
     rng = np.random.default_rng(0)
     features: list[Tensor] = []
     errors: list[Tensor] = []
@@ -49,7 +49,7 @@ def observe(network: LCMMVSNet, scenes: list[Path], samples: int, sources: int) 
         t = t_from_depth(batch["depth"].clamp_min(1e-3), batch["near"], batch["far"])
         surface = (batch["depth"] > 0) & (t >= 0) & (t < 1)
         chosen = torch.from_numpy(rng.integers(surface.numel(), size=PIXELS))
-        features.append(torch.logit(full_shares(outputs), eps=1e-4)[0].flatten(1).T[chosen])
+        features.append(torch.logit(level_confidences(outputs), eps=1e-4)[0].flatten(1).T[chosen])
         error = torch.where(surface, (estimate - t).abs() * INTERVALS, torch.inf)
         errors.append(error.flatten()[chosen])
     return torch.cat(features), torch.cat(errors)

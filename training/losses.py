@@ -90,7 +90,7 @@ def total_loss(outputs: list[LevelOutput], t: Tensor, valid: Tensor, representat
 
 
 def refinement_loss(refined: Refined, t: Tensor, valid: Tensor, interval: float, ratio: Tensor) -> Tensor:
-    """Of the choice between candidates, of the depth, and of how sure it is (where there is no surface, it is wrong).
+    """Of the choice between candidates, of the depth, and of its confidence (where there is no surface, it is wrong).
 
     `t`, `valid` (B,1,H,W) at full resolution; `interval` in t, of the finest level; `ratio` (B,) of the sweep's near to
     its far end. A candidate is as likely as it is
@@ -110,5 +110,5 @@ def refinement_loss(refined: Refined, t: Tensor, valid: Tensor, interval: float,
     # The planes across the picture part its surfaces among them, chosen or not: what is never near is never chosen.
     per_pixel = per_pixel - PLANES_WEIGHT * torch.logsumexp(close[:, -PLANES:], 1, keepdim=True)
     right = valid & (error.detach() * INTERVALS < 1)
-    sure = F.binary_cross_entropy_with_logits(refined.sure, right.float())
-    return (per_pixel * valid).sum() / valid.sum().clamp_min(1) + 0.5 * sure
+    confidence = F.binary_cross_entropy_with_logits(refined.confidence_logit, right.float())
+    return (per_pixel * valid).sum() / valid.sum().clamp_min(1) + 0.5 * confidence

@@ -25,8 +25,8 @@ import torch
 from torch import Tensor
 
 from curecon_blender.core.base.allocator import use_large_pages
-from curecon_blender.core.network.model import MULTIPLE, LCMMVSNet, full_shares, t_from_depth
-from curecon_blender.core.network.refinement import Refinement, plain_choice, rasterised
+from curecon_blender.core.network.model import MULTIPLE, LCMMVSNet, level_confidences, t_from_depth
+from curecon_blender.core.network.refinement import Refinement, plain_refined_depth, rasterise_points
 from curecon_blender.core.network.weights import SHIPPED
 from training.dataset import Sample, training_sample
 from training.generator import load
@@ -68,7 +68,7 @@ def cascade_map(network: LCMMVSNet, sample: Sample) -> dict[str, np.ndarray]:
         return np.round(values.float().clamp(0, 1).numpy() * _UNIT).astype(np.uint16)
 
     return {
-        "image": sample.images[0], "t": stored(outputs[-1].t[0, 0]), "shares": stored(full_shares(outputs)[0]),
+        "image": sample.images[0], "t": stored(outputs[-1].t[0, 0]), "shares": stored(level_confidences(outputs)[0]),
         "truth": stored(truth[0, 0]), "valid": ((batch["depth"] > 0) & (truth >= 0) & (truth < 1))[0, 0].numpy(),
         "interval": np.float32(outputs[-1].interval), "points": sample.points, "near": sample.near, "far": sample.far,
     }
@@ -110,7 +110,7 @@ def crop_of(path: Path, rng: np.random.Generator) -> dict[str, Tensor]:
         interval = torch.tensor(float(data["interval"]))
         points = spoiled(data["points"] - np.array((x, y, 0, 0), np.float32), rng)
         near, far = float(data["near"]), float(data["far"])
-        grid = rasterised(points, near, far, CROP)
+        grid = rasterise_points(points, near, far, CROP)
     found = {name: (value if len(value) == 3 else value.permute(2, 0, 1))[None] for name, value in found.items()}
     found["points"] = torch.from_numpy(grid)[None]
     for axis in (2, 3):
@@ -138,7 +138,7 @@ def step(state: State, crop: dict[str, Tensor], horizon: int, rate: float) -> di
     with torch.autocast("cpu", torch.bfloat16, enabled=BF16):
         refinement = cast(Refinement, state.network.refinement)
         proposal = refinement(crop["image"], crop["t"], crop["shares"], interval, crop["points"])
-    refined = plain_choice(crop["t"], proposal, interval)
+    refined = plain_refined_depth(crop["t"], proposal, interval)
     value = refinement_loss(refined, truth, valid, interval, crop["ratio"])
     state.optimiser.zero_grad(set_to_none=True)
     value.backward()

@@ -32,8 +32,9 @@ from torch import Tensor
 
 from curecon_blender.core.base.allocator import use_large_pages
 from curecon_blender.core.depth.estimate import choose_precision
-from curecon_blender.core.network.model import LCMMVSNet, NetworkConfig, t_from_depth
-from curecon_blender.core.network.refinement import plain_choice, rasterised
+from curecon_blender.core.network.config import NetworkConfig
+from curecon_blender.core.network.model import LCMMVSNet, t_from_depth
+from curecon_blender.core.network.refinement import plain_refined_depth, rasterise_points
 from curecon_blender.core.network.weights import describe, load_network
 from training.dataset import Sample, training_sample
 from training.generator import load
@@ -75,8 +76,9 @@ def batch_tensors(samples: list[Sample], device: torch.device) -> dict[str, Tens
         "near": torch.tensor([s.near for s in samples], dtype=torch.float32, device=device),
         "far": torch.tensor([s.far for s in samples], dtype=torch.float32, device=device),
         "depth": stack("depth").unsqueeze(1),
-        "points": torch.from_numpy(np.stack(
-            [rasterised(s.points, s.near, s.far, (s.depth.shape[1], s.depth.shape[0])) for s in samples])).to(device),
+        "points": torch.from_numpy(np.stack([
+            rasterise_points(s.points, s.near, s.far, (s.depth.shape[1], s.depth.shape[0])) for s in samples
+        ])).to(device),
     }
 
 
@@ -200,7 +202,7 @@ def step(
     value = loss(outputs, t, valid, state.network.config.representation)
     estimate = outputs[-1].t
     if proposal is not None:
-        refined = plain_choice(estimate.detach(), proposal, outputs[-1].interval)
+        refined = plain_refined_depth(estimate.detach(), proposal, outputs[-1].interval)
         value = value + refinement_loss(refined, t, valid, outputs[-1].interval, batch["near"] / batch["far"])
         estimate = refined.t
     state.optimiser.zero_grad(set_to_none=True)

@@ -258,7 +258,7 @@ def _read_points(folder: Path) -> None:
 
     found = sparse_points.read(folder, _told())
     assert found.shape == (2, 4)
-    assert np.isfinite(refinement.rasterised(found, 1.0, 9.0, (32, 32))).all()
+    assert np.isfinite(refinement.rasterise_points(found, 1.0, 9.0, (32, 32))).all()
 
 
 # ---- the workspace's JSON
@@ -444,7 +444,8 @@ def _model_reader(kind: str) -> Callable[[Path], None]:
 
 def _make_weights(folder: Path) -> None:
     from curecon_blender.core.network import weights
-    from curecon_blender.core.network.model import LCMMVSNet, NetworkConfig
+    from curecon_blender.core.network.config import NetworkConfig
+    from curecon_blender.core.network.model import LCMMVSNet
 
     config = NetworkConfig(channels=(2, 2, 2), groups=(2, 2, 2), regulariser_channels=2, context=0)
     weights.save_network(LCMMVSNet(config), folder / "own.safetensors", {"samples": 1})

@@ -24,8 +24,8 @@ from ..base.messages import Reporter
 from ..base.options import Options
 from ..base.reading import Expected, read_arrays
 from ..base.records import Component, View
-from ..network.model import FEWEST_HYPOTHESES, MOST_HYPOTHESES, MULTIPLE, LCMMVSNet, depth_from_t
-from ..network.refinement import rasterised
+from ..network.model import MAX_HYPOTHESES, MIN_HYPOTHESES, MULTIPLE, Geometry, LCMMVSNet, depth_from_t
+from ..network.refinement import rasterise_points
 from ..views import sparse_points
 
 TILE_OVERLAP = 64  # pixels that neighbouring tiles share; half of it on each side is thrown away
@@ -91,7 +91,7 @@ def bytes_per_pixel(hypotheses: int) -> int:
 def typical_hypotheses(size: int) -> int:
     """What the coarsest level wants of a photo of so many pixels on its longer side, before its sources are known:
     between two photos of an orbit, things move by half a photo's width at most."""
-    return min(max(size // 8, FEWEST_HYPOTHESES), MOST_HYPOTHESES)
+    return min(max(size // 8, MIN_HYPOTHESES), MAX_HYPOTHESES)
 
 
 def plan_tiles(width: int, height: int, sources: int, hypotheses: int, budget: int) -> list[Tile]:
@@ -183,10 +183,9 @@ class DepthEstimator:
         poses = np.stack([_recentred(v.cam_from_world, view.centre) for v, _ in crops])
         near, far = (torch.tensor([d], dtype=torch.float32, device=self.device) for d in (view.near, view.far))
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.dtype == torch.bfloat16):
-            outputs = self._network.sweep(
-                features[0], features[1:], _batch(K).to(self.device), _batch(poses).to(self.device), near, far,
-                _batch(np.array([score for _, score in sources])).to(self.device), hypotheses,
-            )
+            geometry = Geometry(_batch(K).to(self.device), _batch(poses).to(self.device), near, far,
+                                _batch(np.array([score for _, score in sources])).to(self.device))
+            outputs = self._network.sweep(features[0], features[1:], geometry, hypotheses)
             colours = self._colours(view, tile)
             t, confidence = self._network.estimate(colours, outputs, self._points(view, tile, points, colours))
         depth = depth_from_t(t, near, far)
@@ -197,7 +196,7 @@ class DepthEstimator:
     def _points(self, view: View, region: Tile, points: np.ndarray, colours: Tensor) -> Tensor:
         """The sparse points (P,4) of a view as the refinement of a region with these colours takes them."""
         shift = np.array([region.x0, region.y0, 0, 0], np.float32)
-        grid = rasterised(points - shift, view.near, view.far, (colours.shape[3], colours.shape[2]))
+        grid = rasterise_points(points - shift, view.near, view.far, (colours.shape[3], colours.shape[2]))
         return torch.from_numpy(grid).unsqueeze(0).to(self.device)
 
     def _colours(self, view: View, region: Tile) -> Tensor:

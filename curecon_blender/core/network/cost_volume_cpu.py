@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Eq. 2 on a CPU, with its gradients: every voxel in one go, so that no warped feature is ever written to memory.
 
-`network.plain_cost_volume` says the same in torch's own operations, which a graphics card runs well; a CPU spends most
-of their time on moving the warped features of all hypotheses to and fro. tests/test_network.py holds the two together.
+`model.plain_cost_volume` computes the same in torch's own operations, which a graphics card runs well; a CPU spends
+most of their time on moving the warped features of all hypotheses to and fro. tests/test_network.py holds the two
+together.
 """
 
 from __future__ import annotations
@@ -25,9 +26,9 @@ BAND_BYTES = 4 << 20  # of float32 costs that a thread makes at once: what fits 
 
 
 @dataclass(frozen=True)
-class Matching:
+class CostVolumeInput:
     """What a cost volume is made of: the reference's features (B,C,h,w), each source's (B,C,hs,ws), the terms of each
-    source's homographies (network.homography_terms), the sources' weights (B,N), and inverse depths (B,M,h,w)."""
+    source's homographies (homographies.homography_terms), the sources' weights (B,N), and inverse depths (B,M,h,w)."""
 
     reference: Tensor
     sources: list[Tensor]
@@ -37,7 +38,7 @@ class Matching:
 
 
 def fused_cost_volume(
-    given: Matching, groups: int, alpha: Tensor, beta: Tensor | None, out: Tensor | None = None
+    inputs: CostVolumeInput, groups: int, alpha: Tensor, beta: Tensor | None, out: Tensor | None = None
 ) -> Tensor:
     """(B,K,M,h,w) for K groups. `alpha` and `beta` are the level's scalars; without `beta` no source has more say where
     it agrees better or less where it sees nothing. All on a CPU.
@@ -46,14 +47,14 @@ def fused_cost_volume(
     any type, which is returned.
     """
     # A group's mean becomes a sum.
-    scaled = (given.reference * (groups / given.reference.shape[1])).permute(0, 2, 3, 1).float()
-    laid = [source.permute(0, 2, 3, 1).float() for source in given.sources]
+    scaled = (inputs.reference * (groups / inputs.reference.shape[1])).permute(0, 2, 3, 1).float()
+    laid = [source.permute(0, 2, 3, 1).float() for source in inputs.sources]
     strength = alpha.new_zeros(()) if beta is None else beta
     volumes = []
     for i in range(len(scaled)):
-        rotated = torch.stack([rotation[i] for rotation, _ in given.terms]).float()
-        shifted = torch.stack([shift[i, :, 0] for _, shift in given.terms]).float()
-        fixed = (rotated, shifted, given.inverse_depth[i].float(), given.weights[i].float())
+        rotated = torch.stack([rotation[i] for rotation, _ in inputs.terms]).float()
+        shifted = torch.stack([shift[i, :, 0] for _, shift in inputs.terms]).float()
+        fixed = (rotated, shifted, inputs.inverse_depth[i].float(), inputs.weights[i].float())
         own = [source[i] for source in laid]
         if out is not None:
             _fill(out[i].permute(1, 2, 3, 0), _arguments(scaled[i], alpha, strength, fixed, beta is not None, own))

@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """LCM-MVSNet: cascade multi-view stereo whose cost volume weights each source view by its matching score.
 
-Source: Li, Yang et al., "SD-3DR" (LCM-MVSNet), with the corrections noted at Eq. 2 and Eq. 3 below.
+Source: Li, Yang et al., "SD-3DR" (LCM-MVSNet), with the corrections noted at Eq. 2 and Eq. 3 below. This file goes in
+the paper's order: feature pyramid, depth hypotheses, cost volume, regulariser, depth, cascade.
 
 Shapes: B samples, V views (reference first), N = V - 1 sources, C channels, K groups, M depth hypotheses; level
 l = 2, 1, 0 works at 1/4, 1/2, 1/1 of the photo. Pixel centres lie at .5. Depth is swept in the coordinate t in
@@ -13,58 +14,39 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal, cast
+from typing import cast
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
-from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-from .cost_volume_cpu import Matching, fused_cost_volume
-from .refinement import Proposal, Refinement, choose
+from . import layers
+from .config import NetworkConfig
+from .cost_volume_cpu import CostVolumeInput, fused_cost_volume
+from .homographies import homography_terms, level_intrinsics, mean_disparity, pixel_grid
+from .layers import conv2d_block, conv3d_block, unit_length, up_conv3d_block, upsample, upsample_add
+from .refinement import Proposal, Refinement, refined_depth
 
 LEVELS = (2, 1, 0)  # coarse to fine
-LOCAL = 2  # hypotheses on each side of the likeliest that a linear decoder averages
-FEWEST_HYPOTHESES, MOST_HYPOTHESES = 32, 256  # at the coarsest level
+DECODER_REACH = 2  # hypotheses on each side of the likeliest that a linear decoder averages
+MIN_HYPOTHESES, MAX_HYPOTHESES = 32, 256  # at the coarsest level
 SLICE_BYTES = 64 << 20  # of warped features held at once, without gradients
 MULTIPLE = 32  # heights and widths must divide by this: four scales of the regulariser at the coarsest level
 
 
-@dataclass(frozen=True, kw_only=True)
-class NetworkConfig:
-    """Sizes of the network, by level 0, 1, 2, and where it departs from the paper (`PAPER` is the plain model).
+@dataclass(frozen=True)
+class Geometry:
+    """Where a reference (view 0) and its source views stand, and what is swept.
 
-    `hypothesis_step`: how far apart neighbouring hypotheses lie, in pixels of their level, in the mean of the sources;
-    the coarsest level gets as many as the range then needs. None: always `hypotheses[2]`, as in the paper.
-    `representation`: "linear" splits a depth between the two hypotheses around it and decodes a local mean, which
-    stays unbiased where the network is unsure; "unified" is the paper's (Eq. 3).
-    `cosine`: features are scaled to unit length, so that a match is worth as much in shade as in the sun.
-    `visibility`: a source that agrees better at a voxel has more say there, by a learned factor, and one that does not
-    see the voxel has none: beside an edge the sources that look behind it are outvoted.
-    `context`: channels of the reference's own features that each level's regulariser sees beside the cost volume, so
-    that it knows where a surface may end and what no source can tell. 0: none, as in the paper.
-    `refinement`: channels of the refinement after the cascade (refinement.py). 0: none, as in the paper.
+    `K` (B,V,3,3) in pixels; `cam_from_world` (B,V,3,4); `near`, `far` (B,) z-depths in world units; `scores` (B,N)
+    matching scores S_i of Algorithm 1, at least one positive.
     """
 
-    channels: tuple[int, int, int] = (8, 16, 32)
-    groups: tuple[int, int, int] = (8, 8, 8)
-    hypotheses: tuple[int, int, int] = (8, 16, 48)
-    interval_ratios: tuple[int, int, int] = (1, 2, 4)
-    regulariser_channels: int = 8
-    bottom_up: bool = True
-    hypothesis_step: float | None = 1.0
-    representation: Literal["linear", "unified"] = "linear"
-    cosine: bool = True
-    visibility: bool = True
-    context: int = 4
-    refinement: int = 48
-    # Confidence without refinement: weights of the levels' logit shares, then the constant; fitted by
-    # training/export.py.
-    calibration: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 0.0)
-
-
-PAPER = NetworkConfig(hypothesis_step=None, representation="unified", cosine=False, visibility=False, context=0,
-                      refinement=0)
+    K: Tensor
+    cam_from_world: Tensor
+    near: Tensor
+    far: Tensor
+    scores: Tensor
 
 
 @dataclass(frozen=True)
@@ -72,85 +54,18 @@ class LevelOutput:
     """One level's result at its own resolution (h, w).
 
     `logits` (B,M,h,w) of the probability volume P; `first` (B,1,h,w) is t where the first hypothesis' interval begins;
-    `interval` is r in t; `t` (B,1,h,w) the estimate; `share` (B,1,h,w) in [0, 1], how much of P is gathered there.
+    `interval` is r in t; `t` (B,1,h,w) the estimate; `confidence` (B,1,h,w) in [0, 1], the share of P within one
+    hypothesis of the likeliest.
     """
 
     logits: Tensor
     first: Tensor
     interval: float
     t: Tensor
-    share: Tensor
+    confidence: Tensor
 
 
-def depth_from_t(t: Tensor, near: Tensor, far: Tensor) -> Tensor:
-    """z-depth at sweep coordinate t; `near` and `far` (B,) broadcast over the last three dimensions."""
-    near, far = near.view(-1, 1, 1, 1), far.view(-1, 1, 1, 1)
-    return 1.0 / (1.0 / near + t * (1.0 / far - 1.0 / near))
-
-
-def t_from_depth(depth: Tensor, near: Tensor, far: Tensor) -> Tensor:
-    """Inverse of depth_from_t; depth must be positive."""
-    near, far = near.view(-1, 1, 1, 1), far.view(-1, 1, 1, 1)
-    return (1.0 / depth - 1.0 / near) / (1.0 / far - 1.0 / near)
-
-
-def _conv2d(inputs: int, outputs: int, kernel: int = 3, stride: int = 1) -> nn.Sequential:
-    # Even kernels for stride 2 keep the centre of an output pixel at the centre of the pixels it came from, so that
-    # a level's intrinsics are the photo's, scaled.
-    kernel = 4 if stride == 2 else kernel
-    padding = 1 if stride == 2 else kernel // 2
-    return nn.Sequential(
-        nn.Conv2d(inputs, outputs, kernel, stride, padding, bias=False), nn.BatchNorm2d(outputs), nn.ReLU(inplace=True)
-    )
-
-
-class _Conv3d(nn.Conv3d):
-    """Asks oneDNN itself on a CPU in fp32: for one sample of few channels and planes torch would choose a loop of its
-    own, ten to twenty times as slow."""
-
-    def _conv_forward(self, input: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
-        if (input.device.type == "cpu" and input.dtype == torch.float32 and not torch.is_autocast_enabled("cpu")
-                and torch.backends.mkldnn.is_available()):
-            padding = cast(tuple[int, ...], self.padding)
-            return torch.mkldnn_convolution(input, weight, bias, padding, self.stride, self.dilation, self.groups)
-        return super()._conv_forward(input, weight, bias)
-
-
-class _Doubling(nn.ConvTranspose3d):
-    """Twice the size in all three directions. Its blocks of 2x2x2 do not overlap, so it is one product of matrices: a
-    third of the time of torch's own loop for one sample on a CPU."""
-
-    def forward(self, input: Tensor, output_size: list[int] | None = None) -> Tensor:
-        b, _, m, h, w = input.shape
-        return self.blocks(input).reshape(b, 2 * m, 2 * h, 2 * w, -1).permute(0, 4, 1, 2, 3)
-
-    def blocks(self, input: Tensor) -> Tensor:
-        """From (B,C,m,h,w): each voxel's block where it belongs, (B,m,2,h,2,w,2*K), two neighbours along a row together
-        with their K channels."""
-        weight = self.weight.permute(2, 3, 4, 1, 0).flatten(0, 3)
-        bias = None if self.bias is None else self.bias.repeat(8)
-        blocks = F.linear(input.permute(0, 2, 3, 4, 1), weight, bias)
-        return blocks.unflatten(-1, (2, 2, -1)).permute(0, 1, 4, 2, 5, 3, 6)
-
-
-def _raised(up: nn.Sequential, x: Tensor, skip: Tensor) -> Tensor:
-    """x doubled, and added to what is there at its size: in place where nothing else needs it and the layout allows, or
-    three volumes of full size would stand beside each other."""
-    if (torch.is_grad_enabled() or not isinstance(up[1], nn.Identity)
-            or not skip.is_contiguous(memory_format=torch.channels_last_3d)):
-        raised: Tensor = up(x) + skip
-        return raised
-    blocks = up[2](cast(_Doubling, up[0]).blocks(x))
-    skip.permute(0, 2, 3, 4, 1).view(blocks.shape).add_(blocks)
-    return skip
-
-
-def _conv3d(inputs: int, outputs: int, stride: int = 1) -> nn.Sequential:
-    kernel = 4 if stride == 2 else 3  # as in two dimensions; an odd kernel would pull depth off by half a hypothesis
-    return nn.Sequential(
-        _Conv3d(inputs, outputs, kernel, stride, 1, bias=False), nn.BatchNorm3d(outputs), nn.ReLU(inplace=True)
-    )
-
+# ---- feature pyramid
 
 class FeaturePyramid(nn.Module):
     """(B,3,H,W) to features (B,C_l,H/2^l,W/2^l): an FPN, then PANet's bottom-up path (paper, section on features)."""
@@ -158,9 +73,9 @@ class FeaturePyramid(nn.Module):
     def __init__(self, channels: tuple[int, int, int], bottom_up: bool) -> None:
         super().__init__()
         c0, c1, c2 = channels
-        self.stem = nn.Sequential(_conv2d(3, c0), _conv2d(c0, c0))
-        self.down1 = nn.Sequential(_conv2d(c0, c1, stride=2), _conv2d(c1, c1), _conv2d(c1, c1))
-        self.down2 = nn.Sequential(_conv2d(c1, c2, stride=2), _conv2d(c2, c2), _conv2d(c2, c2))
+        self.stem = nn.Sequential(conv2d_block(3, c0), conv2d_block(c0, c0))
+        self.down1 = nn.Sequential(conv2d_block(c0, c1, stride=2), conv2d_block(c1, c1), conv2d_block(c1, c1))
+        self.down2 = nn.Sequential(conv2d_block(c1, c2, stride=2), conv2d_block(c2, c2), conv2d_block(c2, c2))
         self.lateral2 = nn.Conv2d(c2, c2, 1)
         self.lateral1 = nn.Conv2d(c1, c2, 1)
         self.lateral0 = nn.Conv2d(c0, c2, 1)
@@ -168,8 +83,8 @@ class FeaturePyramid(nn.Module):
         self.smooth0 = nn.Conv2d(c2, c0, 3, padding=1)
         self.bottom_up = bottom_up
         if bottom_up:
-            self.up1, self.fuse1 = _conv2d(c0, c1, stride=2), nn.Conv2d(c1, c1, 3, padding=1)
-            self.up2, self.fuse2 = _conv2d(c1, c2, stride=2), nn.Conv2d(c2, c2, 3, padding=1)
+            self.up1, self.fuse1 = conv2d_block(c0, c1, stride=2), nn.Conv2d(c1, c1, 3, padding=1)
+            self.up2, self.fuse2 = conv2d_block(c1, c2, stride=2), nn.Conv2d(c2, c2, 3, padding=1)
 
     def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         x0 = self.stem(image)
@@ -185,61 +100,29 @@ class FeaturePyramid(nn.Module):
         return p0, p1, p2
 
 
-class CostRegulariser(nn.Module):
-    """Four-scale 3D U-Net: cost volume (B,K,M,h,w), by way of `enter`, to logits (B,M,h,w). M, h, w divide by 8."""
+# ---- depth hypotheses (Eq. 1, here uniform in inverse depth)
 
-    def __init__(self, inputs: int, base: int) -> None:
-        super().__init__()
-        c = [base, base * 2, base * 4, base * 8]
-        self.enter = _conv3d(inputs, c[0])
-        self.down = nn.ModuleList(
-            nn.Sequential(_conv3d(c[i], c[i + 1], stride=2), _conv3d(c[i + 1], c[i + 1])) for i in range(3)
-        )
-        self.up = nn.ModuleList(
-            nn.Sequential(
-                _Doubling(c[i + 1], c[i], 2, 2, bias=False), nn.BatchNorm3d(c[i]), nn.ReLU(inplace=True)
-            )
-            for i in range(3)
-        )
-        self.leave = _Conv3d(c[0], 1, 3, padding=1)
-        nn.init.constant_(self.leave.bias, -2.5)  # type: ignore[arg-type]  # most hypotheses are wrong
-
-    def forward(self, entered: Tensor) -> Tensor:
-        """The logits, from what `enter` makes of a cost volume; without gradients that may be overwritten."""
-        skips = [entered]
-        for down in self.down:
-            skips.append(down(skips[-1]))
-        x = skips.pop()
-        for up in reversed(self.up):
-            x = _raised(cast(nn.Sequential, up), x, skips.pop())
-        logits: Tensor = self.leave(x).squeeze(1)
-        return logits
+def depth_from_t(t: Tensor, near: Tensor, far: Tensor) -> Tensor:
+    """z-depth at sweep coordinate t; `near` and `far` (B,) broadcast over the last three dimensions."""
+    near, far = near.view(-1, 1, 1, 1), far.view(-1, 1, 1, 1)
+    return 1.0 / (1.0 / near + t * (1.0 / far - 1.0 / near))
 
 
-def level_intrinsics(K: Tensor, level: int) -> Tensor:
-    """Intrinsics (...,3,3) of a level: pixel centres at .5 make it a plain scaling of the first two rows."""
-    scale = torch.tensor([0.5**level, 0.5**level, 1.0], dtype=K.dtype, device=K.device)
-    return K * scale.view(3, 1)
+def t_from_depth(depth: Tensor, near: Tensor, far: Tensor) -> Tensor:
+    """Inverse of depth_from_t; depth must be positive."""
+    near, far = near.view(-1, 1, 1, 1), far.view(-1, 1, 1, 1)
+    return (1.0 / depth - 1.0 / near) / (1.0 / far - 1.0 / near)
 
 
-def homography_terms(K: Tensor, cam_from_world: Tensor, source: int, pixels: Tensor) -> tuple[Tensor, Tensor]:
-    """Terms of the plane homographies from view 0 to view `source`, for (B,V,3,3) intrinsics and (B,V,3,4) poses.
-
-    A pixel of `pixels` (1,3,P), homogeneous, at inverse depth w maps to rotated + w * shifted: (B,3,P) and (B,3,1).
-    """
-    # Autocast would multiply these matrices in bf16, whose eight bits put a source several pixels off its place.
-    with torch.autocast(K.device.type, enabled=False):
-        src_from_ref = relative_pose(cam_from_world[:, source], cam_from_world[:, 0])
-        rotated = K[:, source] @ src_from_ref[:, :, :3] @ torch.linalg.inv(K[:, 0]) @ pixels
-        shifted = K[:, source] @ src_from_ref[:, :, 3:]
-    return rotated, shifted
+def first_hypothesis(coarser: LevelOutput | None, count: int, interval: float, reference: Tensor) -> Tensor:
+    """t (B,1,h,w) where the first interval begins of a level whose reference has features (B,C,h,w): at 0 for the
+    coarsest level, which sweeps all of it; elsewhere `count` intervals lie around the upsampled coarser estimate."""
+    if coarser is None:
+        return torch.zeros(reference.shape[0], 1, *reference.shape[2:], device=reference.device)
+    return (upsample(coarser.t.detach()) - count * interval / 2).clamp(0.0, 1.0 - count * interval)
 
 
-def pixel_grid(x: Tensor, y: Tensor) -> Tensor:
-    """(1,3,h*w) homogeneous pixels of the columns x (w,) and rows y (h,)."""
-    rows, columns = torch.meshgrid(y, x, indexing="ij")
-    return torch.stack([columns, rows, torch.ones_like(rows)]).reshape(1, 3, -1)
-
+# ---- cost volume: the learnable cost metric (Eq. 2)
 
 def warp(feature: Tensor, rotated: Tensor, shifted: Tensor, inverse_depth: Tensor) -> tuple[Tensor, Tensor]:
     """Source features (B,C,hs,ws) seen from the reference at `inverse_depth` (B,M,h,w): (B,C,M,h,w), and where the
@@ -257,21 +140,92 @@ def warp(feature: Tensor, rotated: Tensor, shifted: Tensor, inverse_depth: Tenso
     return warped.reshape(b, -1, m, h, w), seen
 
 
-def plain_cost_volume(given: Matching, groups: int, alpha: Tensor, beta: Tensor | None) -> Tensor:
-    """What fused_cost_volume computes, arguments as there, in torch's own operations: for graphics cards."""
-    b, c = given.reference.shape[:2]
-    scaled = (given.reference * (groups / c)).unsqueeze(2)  # the mean over a group's channels becomes a sum
+def plain_cost_volume(inputs: CostVolumeInput, groups: int, alpha: Tensor, beta: Tensor | None) -> Tensor:
+    """Eq. 2 in torch's own operations, for graphics cards: (B,K,M,h,w), alpha times the mean over the sources, by their
+    weights, of the group-wise product of reference and warped source.
+
+    With `beta` (visibility) a source's weight is multiplied by exp(beta * its cosine) at each voxel, and by 0 where it
+    does not see the voxel. fused_cost_volume computes the same on a CPU.
+    """
+    b, c = inputs.reference.shape[:2]
+    scaled = (inputs.reference * (groups / c)).unsqueeze(2)  # the mean over a group's channels becomes a sum
     total = norm = torch.zeros((), device=scaled.device)
-    for i, (source, (rotated, shifted)) in enumerate(zip(given.sources, given.terms, strict=True)):
-        warped, seen = warp(source, rotated, shifted, given.inverse_depth)
-        product = (warped * scaled).reshape(b, groups, c // groups, *given.inverse_depth.shape[1:])
+    for i, (source, (rotated, shifted)) in enumerate(zip(inputs.sources, inputs.terms, strict=True)):
+        warped, seen = warp(source, rotated, shifted, inputs.inverse_depth)
+        product = (warped * scaled).reshape(b, groups, c // groups, *inputs.inverse_depth.shape[1:])
         similarity = product.sum(2) if c > groups else product[:, :, 0]
-        weight = given.weights[:, i].view(-1, 1, 1, 1, 1)
+        weight = inputs.weights[:, i].view(-1, 1, 1, 1, 1)
         if beta is not None:
             weight = weight * seen * torch.exp(beta * similarity.mean(1, keepdim=True))
         total, norm = total + weight * seen * similarity, norm + weight
     return alpha * total / norm.clamp_min(1e-6)
 
+
+# ---- regulariser
+
+class CostRegulariser(nn.Module):
+    """Four-scale 3D U-Net: cost volume (B,K,M,h,w), by way of `enter`, to logits (B,M,h,w). M, h, w divide by 8."""
+
+    def __init__(self, inputs: int, base: int) -> None:
+        super().__init__()
+        c = [base, base * 2, base * 4, base * 8]
+        self.enter = conv3d_block(inputs, c[0])
+        self.down = nn.ModuleList(
+            nn.Sequential(conv3d_block(c[i], c[i + 1], stride=2), conv3d_block(c[i + 1], c[i + 1])) for i in range(3)
+        )
+        self.up = nn.ModuleList(up_conv3d_block(c[i + 1], c[i]) for i in range(3))
+        self.leave = layers.Conv3d(c[0], 1, 3, padding=1)
+        nn.init.constant_(self.leave.bias, -2.5)  # type: ignore[arg-type]  # most hypotheses are wrong
+
+    def forward(self, entered: Tensor) -> Tensor:
+        """The logits, from what `enter` makes of a cost volume; without gradients that may be overwritten."""
+        skips = [entered]
+        for down in self.down:
+            skips.append(down(skips[-1]))
+        x = skips.pop()
+        for up in reversed(self.up):
+            x = upsample_add(cast(nn.Sequential, up), x, skips.pop())
+        logits: Tensor = self.leave(x).squeeze(1)
+        return logits
+
+
+# ---- depth (Eq. 3) and each level's confidence
+
+def decode_linear(logits: Tensor, first: Tensor, interval: float) -> tuple[Tensor, Tensor]:
+    """Mean of t over the hypotheses within DECODER_REACH of the likeliest, and the share of P within one of it, each
+    (B,1,h,w)."""
+    probability = torch.softmax(logits, 1)
+    index = probability.max(1, keepdim=True).indices  # a third of argmax's time across planes
+    m = logits.shape[1]
+    total = mean = confidence = torch.zeros_like(first)
+    for o in range(-DECODER_REACH, DECODER_REACH + 1):
+        inside = (index + o >= 0) & (index + o < m)
+        p = torch.where(inside, probability.gather(1, (index + o).clamp(0, m - 1)), 0.0)
+        total, mean = total + p, mean + p * o
+        if abs(o) <= 1:
+            confidence = confidence + p
+    return first + interval * (index + 0.5 + mean / total), confidence
+
+
+def decode_unified(logits: Tensor, first: Tensor, interval: float) -> tuple[Tensor, Tensor]:
+    """Eq. 3: t = t_m* + r (1 - max P), and the share of P within one hypothesis of m*, each (B,1,h,w).
+
+    The paper prints + r max P, which would contradict its own label, 1 - (d - d_m) / r. max P alone is no
+    confidence, since a true depth late in its interval has a small label: what speaks for a depth is that P is
+    gathered around m*.
+    """
+    probability = torch.sigmoid(logits)
+    peak, index = probability.max(1, keepdim=True)
+    t = first + interval * (index + 1.0 - peak)
+    m = logits.shape[1]
+    near_peak = sum(
+        torch.where((index + o >= 0) & (index + o < m), probability.gather(1, (index + o).clamp(0, m - 1)), 0.0)
+        for o in (-1, 0, 1)
+    )
+    return t, near_peak / probability.sum(1, keepdim=True).clamp_min(1e-6)
+
+
+# ---- the cascade
 
 class LCMMVSNet(nn.Module):
     """The whole network. `forward` takes colours in [0, 1] and returns the levels' outputs, coarse to fine."""
@@ -292,93 +246,21 @@ class LCMMVSNet(nn.Module):
         if self.config.refinement:
             self.refinement = Refinement(self.config.refinement)
 
-    def channels_last(self) -> LCMMVSNet:
-        """Lay the convolutions out channels-last in place, which CPUs want, and bf16 everywhere; returns self."""
-        self.features.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        if self.config.refinement:
-            self.refinement.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        self.regularisers.to(memory_format=torch.channels_last_3d)  # type: ignore[call-overload]
-        return self
-
-    def fold_batch_norm(self) -> LCMMVSNet:
-        """Merge every batch normalisation into the convolution before it, in place; for use, not for training."""
-        for block in [m for m in self.modules() if isinstance(m, nn.Sequential)]:
-            for i in range(len(block) - 1):
-                if isinstance(block[i + 1], (nn.BatchNorm2d, nn.BatchNorm3d)):
-                    transposed = isinstance(block[i], nn.ConvTranspose3d)
-                    block[i] = fuse_conv_bn_eval(  # type: ignore[type-var]
-                        block[i], block[i + 1], transpose=transposed)  # type: ignore[arg-type]
-                    block[i + 1] = nn.Identity()
-        return self
+    def forward(
+        self, images: Tensor, K: Tensor, cam_from_world: Tensor, near: Tensor, far: Tensor, scores: Tensor
+    ) -> list[LevelOutput]:
+        """Depth of the reference, view 0, of `images` (B,V,3,H,W) in [0, 1], H and W multiples of 32; the others are
+        those of `Geometry`."""
+        b, v = images.shape[:2]
+        pyramid = self.pyramid(images.flatten(0, 1))
+        views = [tuple(level.unflatten(0, (b, v))[:, i] for level in pyramid) for i in range(v)]
+        count = self.coarse_hypotheses(K, cam_from_world, near, far, (images.shape[4], images.shape[3]))
+        return self.sweep(views[0], views[1:], Geometry(K, cam_from_world, near, far, scores), count)
 
     def pyramid(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Features of (B,3,H,W) colours in [0, 1], by level 0, 1, 2."""
         features: tuple[Tensor, Tensor, Tensor] = self.features((images - 0.45) / 0.25)
         return features
-
-    def cost_volume(self, level: int, given: Matching, out: Tensor | None = None) -> Tensor:
-        """Eq. 2, the learnable cost metric: (B,K,M,h,w) from features and weights S_i / sum S, which `visibility`
-        refines for each voxel. On a CPU, without gradients, it can be written to `out`."""
-        beta = self.beta[level] if self.config.visibility else None
-        groups, alpha = self.config.groups[level], self.alpha[level]
-        if given.reference.device.type == "cpu":
-            return fused_cost_volume(given, groups, alpha, beta, out)
-        return plain_cost_volume(given, groups, alpha, beta)
-
-    def regularisers_input(
-        self,
-        level: int,
-        reference: Tensor,
-        sources: list[Tensor],
-        K: Tensor,
-        cam_from_world: Tensor,
-        weights: Tensor,
-        inverse_depth: Tensor,
-    ) -> Tensor:
-        """The cost volume of a level with the context behind it, (B,K+C,M,h,w), from its features (B,C_l,h,w)."""
-        b, m, h, w = inverse_depth.shape
-        context = self.context[level](reference) if self.config.context else reference[:, :0]
-        context = context.unsqueeze(2)
-        pixels = pixel_grid(*(torch.arange(n, device=K.device, dtype=K.dtype) + 0.5 for n in (w, h)))
-        terms = [homography_terms(level_intrinsics(K, level), cam_from_world, i + 1, pixels)
-                 for i in range(len(sources))]
-        matched = [features.float() for features in (reference, *sources)]
-        if self.config.cosine:
-            matched = [_unit(features) for features in matched]
-        given = Matching(matched[0], matched[1:], terms, weights, inverse_depth)
-        if torch.is_grad_enabled():
-            return torch.cat([self.cost_volume(level, given), context.expand(-1, -1, m, -1, -1)], 1)
-        # Filled in place, in the type and layout that the regulariser takes.
-        device, groups = context.device, self.config.groups[level]
-        autocast = torch.is_autocast_enabled(device.type)
-        filled = torch.empty(
-            (b, groups + context.shape[1], m, h, w), device=device, memory_format=torch.channels_last_3d,
-            dtype=torch.get_autocast_dtype(device.type) if autocast else inverse_depth.dtype,
-        )
-        filled[:, groups:] = context
-        if device.type == "cpu":
-            self.cost_volume(level, given, filled[:, :groups])
-            return filled
-        # Some hypotheses at a time: the warped features, not the volume, are what is large.
-        step = max(1, SLICE_BYTES // (4 * self.config.channels[level] * h * w))
-        for at in range(0, m, step):
-            some = replace(given, inverse_depth=inverse_depth[:, at : at + step])
-            filled[:, :groups, at : at + step] = self.cost_volume(level, some)
-        return filled
-
-    def forward(
-        self, images: Tensor, K: Tensor, cam_from_world: Tensor, near: Tensor, far: Tensor, scores: Tensor
-    ) -> list[LevelOutput]:
-        """Depth of the reference, view 0.
-
-        `images` (B,V,3,H,W) in [0, 1], H and W multiples of 32; `K` (B,V,3,3); `cam_from_world` (B,V,3,4);
-        `near`, `far` (B,) world units; `scores` (B,N) matching scores S_i of Algorithm 1, at least one positive.
-        """
-        b, v = images.shape[:2]
-        pyramid = self.pyramid(images.flatten(0, 1))
-        views = [tuple(level.unflatten(0, (b, v))[:, i] for level in pyramid) for i in range(v)]
-        count = self.coarse_hypotheses(K, cam_from_world, near, far, (images.shape[4], images.shape[3]))
-        return self.sweep(views[0], views[1:], K, cam_from_world, near, far, scores, count)
 
     def coarse_hypotheses(
         self, K: Tensor, cam_from_world: Tensor, near: Tensor, far: Tensor, size: tuple[int, int]
@@ -389,142 +271,123 @@ class LCMMVSNet(nn.Module):
             return self.config.hypotheses[2]
         pixels = float(mean_disparity(K, cam_from_world, near, far, size).max()) / 4
         wanted = 8 * math.ceil(pixels / self.config.hypothesis_step / 8)
-        return min(max(wanted, FEWEST_HYPOTHESES), MOST_HYPOTHESES)
+        return min(max(wanted, MIN_HYPOTHESES), MAX_HYPOTHESES)
 
     def sweep(
-        self,
-        reference: tuple[Tensor, ...],
-        sources: list[tuple[Tensor, ...]],
-        K: Tensor,
-        cam_from_world: Tensor,
-        near: Tensor,
-        far: Tensor,
-        scores: Tensor,
+        self, reference: tuple[Tensor, ...], sources: list[tuple[Tensor, ...]], geometry: Geometry,
         coarse_hypotheses: int,
     ) -> list[LevelOutput]:
         """`forward` from ready features, by level 0, 1, 2, of each view, with so many hypotheses (a multiple of 8)
         at the coarsest level; the finer levels' intervals follow from its interval by the config's ratios."""
         config = self.config
         middle = 0.5 if config.representation == "linear" else 0.0  # where a hypothesis stands in its interval
-        weights = scores / scores.sum(1, keepdim=True)
+        decode = decode_linear if config.representation == "linear" else decode_unified
         outputs: list[LevelOutput] = []
         for level in LEVELS:
-            h, w = reference[level].shape[2:]
             interval = config.interval_ratios[level] / config.interval_ratios[2] / coarse_hypotheses
             m = config.hypotheses[level] if outputs else coarse_hypotheses
-            if outputs:  # a window around the upsampled coarser estimate
-                first = (upsample(outputs[-1].t.detach()) - m * interval / 2).clamp(0.0, 1.0 - m * interval)
-            else:
-                first = torch.zeros(reference[level].shape[0], 1, h, w, device=reference[level].device)
+            first = first_hypothesis(outputs[-1] if outputs else None, m, interval, reference[level])
             steps = (torch.arange(m, device=first.device, dtype=first.dtype).view(1, m, 1, 1) + middle) * interval
             regulariser = cast(CostRegulariser, self.regularisers[level])
             # Nothing of what made the cost volume is kept while it enters, nor the volume while the rest works.
-            logits: Tensor = regulariser(regulariser.enter(self.regularisers_input(
-                level, reference[level], [source[level] for source in sources], K, cam_from_world, weights,
-                1.0 / depth_from_t(first + steps, near, far),
+            logits: Tensor = regulariser(regulariser.enter(self.regulariser_input(
+                level, reference[level], [source[level] for source in sources], geometry,
+                1.0 / depth_from_t(first + steps, geometry.near, geometry.far),
             ))).float()
-            decode = decode_linear if config.representation == "linear" else decode_unified
             outputs.append(LevelOutput(logits, first, interval, *decode(logits, first, interval)))
         return outputs
 
+    def regulariser_input(
+        self, level: int, reference: Tensor, sources: list[Tensor], geometry: Geometry, inverse_depth: Tensor
+    ) -> Tensor:
+        """The cost volume of a level at `inverse_depth` (B,M,h,w) with the context behind it, (B,K+C,M,h,w), from the
+        level's features (B,C_l,h,w)."""
+        K = geometry.K
+        pixels = pixel_grid(*(torch.arange(n, device=K.device, dtype=K.dtype) + 0.5
+                              for n in reversed(inverse_depth.shape[2:])))
+        terms = [homography_terms(level_intrinsics(K, level), geometry.cam_from_world, i + 1, pixels)
+                 for i in range(len(sources))]
+        matched = [features.float() for features in (reference, *sources)]
+        if self.config.cosine:
+            matched = [unit_length(features) for features in matched]
+        weights = geometry.scores / geometry.scores.sum(1, keepdim=True)
+        inputs = CostVolumeInput(matched[0], matched[1:], terms, weights, inverse_depth)
+        context = (self.context[level](reference) if self.config.context else reference[:, :0]).unsqueeze(2)
+        if torch.is_grad_enabled():
+            repeated = context.expand(-1, -1, inverse_depth.shape[1], -1, -1)
+            return torch.cat([self.cost_volume(level, inputs), repeated], 1)
+        return self._filled(level, inputs, context)
+
+    def cost_volume(self, level: int, inputs: CostVolumeInput, out: Tensor | None = None) -> Tensor:
+        """Eq. 2: (B,K,M,h,w) from features and weights S_i / sum S, which `visibility` refines for each voxel. On a
+        CPU, without gradients, it can be written to `out`."""
+        beta = self.beta[level] if self.config.visibility else None
+        groups, alpha = self.config.groups[level], self.alpha[level]
+        if inputs.reference.device.type == "cpu":
+            return fused_cost_volume(inputs, groups, alpha, beta, out)
+        return plain_cost_volume(inputs, groups, alpha, beta)
+
+    def _filled(self, level: int, inputs: CostVolumeInput, context: Tensor) -> Tensor:
+        """The cost volume and the context (B,C,1,h,w) behind it without gradients: filled in place, in the type and
+        layout that the regulariser takes."""
+        b, m, h, w = inputs.inverse_depth.shape
+        device, groups = context.device, self.config.groups[level]
+        autocast = torch.is_autocast_enabled(device.type)
+        filled = torch.empty(
+            (b, groups + context.shape[1], m, h, w), device=device, memory_format=torch.channels_last_3d,
+            dtype=torch.get_autocast_dtype(device.type) if autocast else inputs.inverse_depth.dtype,
+        )
+        filled[:, groups:] = context
+        if device.type == "cpu":
+            self.cost_volume(level, inputs, filled[:, :groups])
+            return filled
+        # Some hypotheses at a time: the warped features, not the volume, are what is large.
+        step = max(1, SLICE_BYTES // (4 * self.config.channels[level] * h * w))
+        for at in range(0, m, step):
+            some = replace(inputs, inverse_depth=inputs.inverse_depth[:, at : at + step])
+            filled[:, :groups, at : at + step] = self.cost_volume(level, some)
+        return filled
+
     def estimate(self, image: Tensor, outputs: list[LevelOutput], points: Tensor) -> tuple[Tensor, Tensor]:
         """t and confidence in [0, 1], (B,1,H,W) each, from the reference's colours (B,3,H,W), the levels' outputs and
-        sparse points (B,4,H/4,W/4) as refinement.rasterised has them; zeros where none are known.
+        sparse points (B,4,H/4,W/4) as refinement.rasterise_points has them; zeros where none are known.
 
         Confidence is the chance that the depth is within one interval (1/128 of the sweep).
         """
         if self.config.refinement:
             cascade = outputs[-1]
-            t, sure = choose(cascade.t, self.refine(image, outputs, points), cascade.interval)
-            return t, torch.sigmoid(sure)
+            t, logit = refined_depth(cascade.t, self.refine(image, outputs, points), cascade.interval)
+            return t, torch.sigmoid(logit)
         *weights, constant = self.config.calibration
-        total = torch.full_like(outputs[-1].share, constant)
-        for weight, share in zip(weights, full_shares(outputs).split(1, 1), strict=True):
-            total += weight * torch.logit(share, eps=1e-4)
+        total = torch.full_like(outputs[-1].confidence, constant)
+        for weight, confidence in zip(weights, level_confidences(outputs).split(1, 1), strict=True):
+            total += weight * torch.logit(confidence, eps=1e-4)
         return outputs[-1].t, torch.sigmoid(total)
 
     def refine(self, image: Tensor, outputs: list[LevelOutput], points: Tensor) -> Proposal:
         """What the refinement proposes in place of the cascade's outputs, which learn nothing from it; arguments as for
         `estimate`."""
         proposal: Proposal = self.refinement(
-            image, outputs[-1].t.detach(), full_shares(outputs), outputs[-1].interval, points)
+            image, outputs[-1].t.detach(), level_confidences(outputs), outputs[-1].interval, points)
         return proposal
 
+    def channels_last(self) -> LCMMVSNet:
+        """Lay the convolutions out channels-last in place, which CPUs want, and bf16 everywhere; returns self."""
+        self.features.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        if self.config.refinement:
+            self.refinement.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.regularisers.to(memory_format=torch.channels_last_3d)  # type: ignore[call-overload]
+        return self
 
-def full_shares(outputs: list[LevelOutput]) -> Tensor:
-    """The levels' shares at full resolution, (B,3,H,W) by level 0, 1, 2, without gradients."""
-    size = outputs[-1].share.shape[2:]
-    shares = [F.interpolate(output.share.detach(), size, mode="bilinear", align_corners=False)
-              for output in reversed(outputs)]
-    return torch.cat(shares, 1)
-
-
-def relative_pose(cam_from_world: Tensor, ref_from_world: Tensor) -> Tensor:
-    """cam_from_ref (B,3,4) of two poses (B,3,4)."""
-    rotation = cam_from_world[:, :, :3] @ ref_from_world[:, :, :3].transpose(1, 2)
-    translation = cam_from_world[:, :, 3:] - rotation @ ref_from_world[:, :, 3:]
-    return torch.cat([rotation, translation], 2)
+    def fold_batch_norm(self) -> LCMMVSNet:
+        """Merge every batch normalisation into the convolution before it, in place; for use, not for training."""
+        layers.fold_batch_norm(self)
+        return self
 
 
-def upsample(x: Tensor) -> Tensor:
-    """Twice the size, bilinear, pixel centres at .5."""
-    return F.interpolate(x, scale_factor=2.0, mode="bilinear", align_corners=False)
-
-
-def _unit(features: Tensor) -> Tensor:
-    """(B,C,h,w) with a root mean square of 1 over C: the mean of a product of two such is their cosine."""
-    return features * torch.rsqrt(features.float().square().mean(1, keepdim=True) + 1e-4).to(features.dtype)
-
-
-def mean_disparity(
-    K: Tensor, cam_from_world: Tensor, near: Tensor, far: Tensor, size: tuple[int, int]
-) -> Tensor:
-    """(B,) pixels of a source that the sweep from near to far passes over, in the mean of the sources.
-
-    Measured by the speed at the middle of the sweep, at nine pixels of a reference of `size` (W, H), since the ends
-    of a sweep often lie outside or behind a source. Shapes as for LCMMVSNet.forward.
-    """
-    pixels = pixel_grid(*(torch.tensor([0.2, 0.5, 0.8], device=K.device) * length for length in size))
-    middle, span = (1 / near + 1 / far) / 2, 1 / near - 1 / far
-    speeds = []
-    for i in range(1, K.shape[1]):
-        rotated, shifted = homography_terms(K, cam_from_world, i, pixels)
-        homogeneous = rotated + middle.view(-1, 1, 1) * shifted
-        z = homogeneous[:, 2:]
-        velocity = (shifted[:, :2] - homogeneous[:, :2] / z * shifted[:, 2:]) / z
-        speed = torch.where(z[:, 0] > 1e-3, velocity.norm(dim=1), 0.0)  # 0 behind the source
-        speeds.append(speed.median(1).values * span)
-    return torch.stack(speeds).mean(0)
-
-
-def decode_linear(logits: Tensor, first: Tensor, interval: float) -> tuple[Tensor, Tensor]:
-    """Mean of t over the hypotheses within LOCAL of the likeliest, and P's share within one of it, each (B,1,h,w)."""
-    probability = torch.softmax(logits, 1)
-    index = probability.max(1, keepdim=True).indices  # a third of argmax's time across planes
-    m = logits.shape[1]
-    total = mean = share = torch.zeros_like(first)
-    for o in range(-LOCAL, LOCAL + 1):
-        inside = (index + o >= 0) & (index + o < m)
-        p = torch.where(inside, probability.gather(1, (index + o).clamp(0, m - 1)), 0.0)
-        total, mean = total + p, mean + p * o
-        if abs(o) <= 1:
-            share = share + p
-    return first + interval * (index + 0.5 + mean / total), share
-
-
-def decode_unified(logits: Tensor, first: Tensor, interval: float) -> tuple[Tensor, Tensor]:
-    """Eq. 3: t = t_m* + r (1 - max P), and P's share within one hypothesis of m*, each (B,1,h,w).
-
-    The paper prints + r max P, which would contradict its own label, 1 - (d - d_m) / r. max P alone is no
-    confidence, since a true depth late in its interval has a small label: what speaks for a depth is that P is
-    gathered around m*.
-    """
-    probability = torch.sigmoid(logits)
-    peak, index = probability.max(1, keepdim=True)
-    t = first + interval * (index + 1.0 - peak)
-    m = logits.shape[1]
-    near_peak = sum(
-        torch.where((index + o >= 0) & (index + o < m), probability.gather(1, (index + o).clamp(0, m - 1)), 0.0)
-        for o in (-1, 0, 1)
-    )
-    return t, near_peak / probability.sum(1, keepdim=True).clamp_min(1e-6)
+def level_confidences(outputs: list[LevelOutput]) -> Tensor:
+    """The levels' confidences at full resolution, (B,3,H,W) by level 0, 1, 2, without gradients."""
+    size = outputs[-1].confidence.shape[2:]
+    confidences = [F.interpolate(output.confidence.detach(), size, mode="bilinear", align_corners=False)
+                   for output in reversed(outputs)]
+    return torch.cat(confidences, 1)

@@ -1,16 +1,17 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The refinement after the cascade: where a pixel's own estimate is poor, its sure neighbours' planes are at hand.
+"""The refinement after the cascade: where a pixel's own estimate is poor, its confident neighbours' planes are at hand.
 
 What no source sees, or what is too plain to match, mostly goes on as the surface beside it; and the site's sparse
-points lie on it, for some photo of the flight has seen what the four sources have not. Planes are straight in inverse
-depth, so one is fitted in closed form through the sure pixels and the points of windows of three sizes, around each
-pixel and to its four sides, and through the points alone around it. A small 2D U-Net at a quarter of the photo, which
-sees the photo, the cascade's estimate and how sure it is, and the points, names the pixels of a few planes that reach
-across the whole picture (the ground behind a building is the ground before it), chooses between a pixel's own estimate
-and what all those planes say there, and tells how sure the choice is. It goes beyond the paper; see ARCHITECTURE.md.
+points lie on it, for some photo of the flight has seen what the four source views have not. Planes are straight in
+inverse depth, so one is fitted in closed form through the confident pixels and the points of windows of three sizes,
+around each pixel and to its four sides, and through the points alone around it. A small 2D U-Net at a quarter of the
+photo sees the photo, the cascade's estimate with its confidence, and the points. It selects the pixels of a few planes
+that reach across the whole picture (the ground behind a building is the ground before it), chooses between a pixel's
+own estimate and the values of all those planes there, and predicts the choice's confidence. It goes beyond the paper;
+see docs/design/network.md.
 
-Shapes as in network.py; a quarter is h, w = H/4, W/4.
+Shapes as in model.py; a quarter is h, w = H/4, W/4.
 """
 
 from __future__ import annotations
@@ -23,40 +24,40 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from .choice_cpu import fused_choice
+from .choice_cpu import fused_refined_depth
 
 STEP = 4  # pixels of the photo to one of the U-Net's
 RADII = (2, 5, 12)  # of the windows, in pixels of a quarter
 SIDES = ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))  # where a window lies from its pixel, x and y
-ASIDE = 0.75  # of a window's width, from a pixel to the middle of a window at its side
+SIDE_OFFSET = 0.75  # of a window's width, from a pixel to the middle of a window at its side
 PLANES = 2  # across the whole picture
-WINDOWS = len(RADII) * len(SIDES) + len(RADII)  # through pixels and points, then through points alone
+WINDOWS = len(RADII) * len(SIDES) + len(RADII)  # fitted to pixels and points, then to points alone
 CANDIDATES = 1 + WINDOWS + PLANES  # the pixel's own estimate first
-KINDS = 2  # of sparse points: all that lie in the picture, though it may not see them; those it has matched
-ALIKE = 2.0  # intervals from a candidate within which others say the same
+POINT_KINDS = 2  # sparse points that lie in the picture, though they may be hidden in it; those it has matched
+AGREEMENT = 2.0  # intervals within which two candidates agree
 _COORDINATE = 50.0  # pixels of a quarter to one unit of the fits' coordinates, so that sums stay near 1
-_LEAST = 1e-5  # weight of a pixel that is not sure at all
-_RIDGE = 1e-4  # of a window's spread, in those units squared: a window with one sure pixel gives a level plane
+_MIN_WEIGHT = 1e-5  # of a pixel without any confidence
+_RIDGE = 1e-4  # of a window's spread, in those units squared: a window with one confident pixel gives a level plane
 _WIDTHS = (1, 2, 2, 2)  # of the U-Net at each scale, times its channels
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """`planes` (B,P,3,h,w): level, slope along x and along y of what each plane says at a quarter's pixel, in the
-    coordinates of _grid; `votes` (B,(P+3)*16,h,w), for the 16 pixels of each block: logits of the candidates (the
-    pixel's own estimate first), of a shift within an interval, and of how sure the choice is."""
+    """`planes` (B,P,3,h,w): t at the origin and its slopes along x and y of each plane at a quarter's pixel, in the
+    coordinates of _grid; `logits` (B,(P+3)*16,h,w), for the 16 pixels of each block: of the candidates (the pixel's own
+    estimate first), of a shift within an interval, and of the choice's confidence."""
 
     planes: Tensor
-    votes: Tensor
+    logits: Tensor
 
 
 @dataclass(frozen=True)
 class Refined:
-    """`t` (B,1,H,W) sweep coordinate; `sure` (B,1,H,W) logit of the chance that it is within 1/128 of the sweep;
+    """`t` (B,1,H,W) sweep coordinate; `confidence_logit` (B,1,H,W), of the chance that it is within 1/128 of the sweep;
     `candidates` (B,C,H,W) sweep coordinates and `probability` (B,C,H,W) of each, from which `t` comes."""
 
     t: Tensor
-    sure: Tensor
+    confidence_logit: Tensor
     candidates: Tensor
     probability: Tensor
 
@@ -66,11 +67,11 @@ class Refinement(nn.Module):
 
     def __init__(self, channels: int) -> None:
         super().__init__()
-        # Colours, the estimate's detail and three shares of a block of pixels; its points, and how far off they are.
-        seen = 7 * STEP**2 + 2 * KINDS
+        # Of a block of pixels: colours, the estimate's detail, three confidences; its points, and how far off they are.
+        inputs = 7 * STEP**2 + 2 * POINT_KINDS
         c = channels
-        self.weigh = nn.Sequential(nn.Conv2d(seen, c, 1), nn.ReLU(), _conv(c), nn.Conv2d(c, 1 + KINDS, 1))
-        self.enter = nn.Sequential(nn.Conv2d(seen + WINDOWS + 1 + KINDS, c, 1), nn.ReLU())
+        self.weigh = nn.Sequential(nn.Conv2d(inputs, c, 1), nn.ReLU(), _conv(c), nn.Conv2d(c, 1 + POINT_KINDS, 1))
+        self.enter = nn.Sequential(nn.Conv2d(inputs + WINDOWS + 1 + POINT_KINDS, c, 1), nn.ReLU())
         widths = [width * c for width in _WIDTHS]
         steps = list(pairwise(widths))
         self.at = nn.ModuleList(nn.Sequential(_conv(w), _conv(w)) for w in widths)
@@ -84,29 +85,28 @@ class Refinement(nn.Module):
             self.leave.bias.zero_()  # type: ignore[union-attr]
             self.leave.bias[: STEP**2] = 3.0  # type: ignore[index]
 
-    def forward(self, image: Tensor, t: Tensor, shares: Tensor, interval: float, points: Tensor) -> Proposal:
-        """From the reference's colours (B,3,H,W) in [0, 1], the cascade's t (B,1,H,W), its three shares (B,3,H,W) by
-        level 0, 1, 2, the finest level's interval in t, and sparse points (B,2*KINDS,h,w) as `rasterised` has them. H
-        and W must divide by 32."""
+    def forward(self, image: Tensor, t: Tensor, confidences: Tensor, interval: float, points: Tensor) -> Proposal:
+        """From the reference's colours (B,3,H,W) in [0, 1], the cascade's t (B,1,H,W), its confidences (B,3,H,W) by
+        level 0, 1, 2, the finest level's interval in t, and sparse points (B,2*POINT_KINDS,h,w) as `rasterise_points`
+        has them. H and W must divide by 32."""
         quarter = F.avg_pool2d(t, STEP)
         detail = ((t - _enlarged(quarter)) / interval).clamp(-4, 4) / 4
-        point_t, there = points.split(KINDS, 1)
-        seen = torch.cat([
-            F.pixel_unshuffle(torch.cat([(image - 0.45) / 0.25, detail, shares * 2 - 1], 1), STEP),
-            there, there * _intervals(point_t - quarter, interval),
+        point_t, has_point = points.split(POINT_KINDS, 1)
+        inputs = torch.cat([
+            F.pixel_unshuffle(torch.cat([(image - 0.45) / 0.25, detail, confidences * 2 - 1], 1), STEP),
+            has_point, has_point * _intervals(point_t - quarter, interval),
         ], 1)
-        worth = self.weigh(seen).float()
-        surety = F.avg_pool2d(shares[:, :1], STEP) ** 2
-        pixel_weight, *point_weights = torch.sigmoid(worth).split(1, 1)
+        weight_logits = self.weigh(inputs).float()
+        confidence = F.avg_pool2d(confidences[:, :1], STEP) ** 2
         plane_terms = moments(quarter)
-        point_terms = sum(moments(point_t[:, i : i + 1]) * (there[:, i : i + 1] * weight)
-                          for i, weight in enumerate(point_weights))
-        planes = torch.stack([
-            *window_planes(plane_terms * (pixel_weight * surety + _LEAST) + point_terms, SIDES),
-            *window_planes(plane_terms * _LEAST + point_terms, SIDES[:1]),
-        ], 1)
-        apart = _intervals(said(planes, 1) - quarter, interval)
-        x = self.enter(torch.cat([seen, worth.clamp(-4, 4) / 4, apart], 1))
+        windows = _window_planes_of(plane_terms, confidence, point_t, has_point, torch.sigmoid(weight_logits))
+        difference = _intervals(evaluate_planes(windows, 1) - quarter, interval)
+        features = self._u_net(self.enter(torch.cat([inputs, weight_logits.clamp(-4, 4) / 4, difference], 1)))
+        membership = torch.sigmoid(self.belong(features).float()) * confidence + _MIN_WEIGHT
+        across = torch.stack(picture_planes(plane_terms, membership), 1).expand(-1, -1, -1, *quarter.shape[2:])
+        return Proposal(torch.cat([windows, across], 1), self.leave(features).float())
+
+    def _u_net(self, x: Tensor) -> Tensor:
         skips = []
         for scale, at in enumerate(self.at):
             x = at(self.down[scale - 1](x) if scale else x)
@@ -114,34 +114,34 @@ class Refinement(nn.Module):
         x = skips.pop()
         for up, merge in zip(self.up, self.merge, strict=True):
             x = merge(up(x) + skips.pop())
-        belonging = torch.sigmoid(self.belong(x).float()) * surety + _LEAST
-        across = torch.stack(picture_planes(plane_terms, belonging), 1).expand(-1, -1, -1, *quarter.shape[2:])
-        return Proposal(torch.cat([planes, across], 1), self.leave(x).float())
+        return x
 
 
-def choose(t: Tensor, proposal: Proposal, interval: float) -> tuple[Tensor, Tensor]:
-    """t and sure, as `Refined` has them, of the cascade's t (B,1,H,W) and what the refinement proposes; without
-    gradients."""
+def refined_depth(t: Tensor, proposal: Proposal, interval: float) -> tuple[Tensor, Tensor]:
+    """t and confidence_logit, as `Refined` has them, of the cascade's t (B,1,H,W) and what the refinement proposes;
+    without gradients."""
     if t.device.type == "cpu":
-        return fused_choice(t, proposal.planes, proposal.votes, interval, ALIKE * interval, _COORDINATE)
-    refined = plain_choice(t, proposal, interval)
-    return refined.t, refined.sure
+        return fused_refined_depth(t, proposal.planes, proposal.logits, interval, AGREEMENT * interval, _COORDINATE)
+    refined = plain_refined_depth(t, proposal, interval)
+    return refined.t, refined.confidence_logit
 
 
-def plain_choice(t: Tensor, proposal: Proposal, interval: float) -> Refined:
-    """What `choose` says, and what it rests on, in torch's own operations: for graphics cards and for training."""
-    candidates = torch.cat([t, said(proposal.planes, STEP)], 1)
-    choice, offset, sure = F.pixel_shuffle(proposal.votes, STEP).split([CANDIDATES, 1, 1], 1)
+def plain_refined_depth(t: Tensor, proposal: Proposal, interval: float) -> Refined:
+    """What `refined_depth` computes, and what it rests on, in torch's own operations: for graphics cards and for
+    training."""
+    candidates = torch.cat([t, evaluate_planes(proposal.planes, STEP)], 1)
+    choice, offset, confidence_logit = F.pixel_shuffle(proposal.logits, STEP).split([CANDIDATES, 1, 1], 1)
     probability = torch.softmax(choice, 1)
-    likeliest = candidates.gather(1, _choice(candidates, probability, ALIKE * interval))
-    alike = ((candidates - likeliest).abs() < ALIKE * interval) * probability
-    mean = (alike * candidates).sum(1, keepdim=True) / alike.sum(1, keepdim=True)
-    return Refined((mean + interval * torch.tanh(offset)).clamp(0, 1), sure, candidates, probability)
+    likeliest = candidates.gather(1, _likeliest(candidates, probability, AGREEMENT * interval))
+    agreeing = ((candidates - likeliest).abs() < AGREEMENT * interval) * probability
+    mean = (agreeing * candidates).sum(1, keepdim=True) / agreeing.sum(1, keepdim=True)
+    refined_t = (mean + interval * torch.tanh(offset)).clamp(0, 1)
+    return Refined(refined_t, confidence_logit, candidates, probability)
 
 
-def rasterised(points: np.ndarray, near: float, far: float, size: tuple[int, int]) -> np.ndarray:
-    """Sparse points as the refinement takes them, (2*KINDS,h,w) float32 for a photo of `size` (W, H) that divides by 4:
-    t of the nearest in each block, for each kind, then whether there is one.
+def rasterise_points(points: np.ndarray, near: float, far: float, size: tuple[int, int]) -> np.ndarray:
+    """Sparse points as the refinement takes them, (2*POINT_KINDS,h,w) float32 for a photo of `size` (W, H) that divides
+    by 4: t of the nearest in each block, for each kind, then whether there is one.
 
     `points` (P,4) are columns, rows, z-depths, and whether the photo itself is among those that a point comes from.
     What lies outside the photo or the sweep from `near` to `far` is left out.
@@ -150,22 +150,22 @@ def rasterised(points: np.ndarray, near: float, far: float, size: tuple[int, int
     column, row, depth, matched = points.T
     t = (1 / depth - 1 / near) / (1 / far - 1 / near)
     inside = (t >= 0) & (t < 1) & (column >= 0) & (row >= 0) & (column < width) & (row < height)
-    grid = np.zeros((2 * KINDS, height // STEP, width // STEP), np.float32)
+    grid = np.zeros((2 * POINT_KINDS, height // STEP, width // STEP), np.float32)
     for kind, chosen in enumerate((inside, inside & (matched > 0))):
         order = np.flatnonzero(chosen)[np.argsort(-t[chosen])]  # the nearest last, which stays
         block = (row[order] // STEP).astype(int), (column[order] // STEP).astype(int)
-        grid[kind][block], grid[KINDS + kind][block] = t[order], 1
+        grid[kind][block], grid[POINT_KINDS + kind][block] = t[order], 1
     return grid
 
 
-def _choice(candidates: Tensor, probability: Tensor, reach: float) -> Tensor:
-    """Which candidate (B,1,H,W) has most of the probability (B,C,H,W) within reach of it: several that say nearly the
-    same outvote one. Counted where no candidate has half of it alone."""
+def _likeliest(candidates: Tensor, probability: Tensor, reach: float) -> Tensor:
+    """Which candidate (B,1,H,W) has most of the probability (B,C,H,W) within reach of it: several that agree outvote
+    one. Counted where no candidate has half of it alone."""
     best, choice = probability.max(1, keepdim=True)
-    torn = best[:, 0] < 0.5
-    c, p = (values.movedim(1, -1)[torn] for values in (candidates, probability))
+    undecided = best[:, 0] < 0.5
+    c, p = (values.movedim(1, -1)[undecided] for values in (candidates, probability))
     votes = [(((c - c[:, i : i + 1]).abs() < reach) * p).sum(1) for i in range(CANDIDATES)]
-    choice[:, 0][torn] = torch.stack(votes).argmax(0)
+    choice[:, 0][undecided] = torch.stack(votes).argmax(0)
     return choice
 
 
@@ -173,6 +173,21 @@ def moments(t: Tensor) -> Tensor:
     """What a fit of planes to a quarter's t (B,1,h,w) sums up, (B,9,h,w): 1, x, y, xx, xy, yy, t, tx, ty."""
     x, y = _grid(t, 1)
     return torch.cat([a.expand_as(t) for a in (torch.ones_like(t), x, y, x * x, x * y, y * y)] + [t, t * x, t * y], 1)
+
+
+def _window_planes_of(
+    plane_terms: Tensor, confidence: Tensor, point_t: Tensor, has_point: Tensor, weights: Tensor
+) -> Tensor:
+    """All window planes (B,WINDOWS,3,h,w): fitted to pixels, by their learned weight and confidence (B,1,h,w), and to
+    points; then to points alone. `plane_terms` are the pixels' moments; `weights` (B,1+POINT_KINDS,h,w) are of the
+    pixels and of each kind of point."""
+    pixel_weight, *point_weights = weights.split(1, 1)
+    point_terms = sum(moments(point_t[:, i : i + 1]) * (has_point[:, i : i + 1] * weight)
+                      for i, weight in enumerate(point_weights))
+    return torch.stack([
+        *window_planes(plane_terms * (pixel_weight * confidence + _MIN_WEIGHT) + point_terms, SIDES),
+        *window_planes(plane_terms * _MIN_WEIGHT + point_terms, SIDES[:1]),
+    ], 1)
 
 
 def window_planes(weighted: Tensor, sides: tuple[tuple[int, int], ...]) -> list[Tensor]:
@@ -183,10 +198,10 @@ def window_planes(weighted: Tensor, sides: tuple[tuple[int, int], ...]) -> list[
         width = 2 * radius + 1
         rows = F.avg_pool2d(weighted, (1, width), 1, (0, radius))
         plane = _fit(F.avg_pool2d(rows, (width, 1), 1, (radius, 0)))
-        aside = int(ASIDE * width)
-        around = F.pad(plane, (aside,) * 4, mode="replicate")
+        offset = int(SIDE_OFFSET * width)
+        around = F.pad(plane, (offset,) * 4, mode="replicate")
         for dx, dy in sides:
-            top, left = aside * (1 + dy), aside * (1 + dx)
+            top, left = offset * (1 + dy), offset * (1 + dx)
             found.append(around[:, :, top : top + h, left : left + w])
     return found
 
@@ -196,9 +211,8 @@ def picture_planes(plane_terms: Tensor, weights: Tensor) -> list[Tensor]:
     return [_fit((plane_terms * weight).mean((2, 3), keepdim=True)) for weight in weights.split(1, 1)]
 
 
-def said(planes: Tensor, step: int) -> Tensor:
-    """What planes (B,P,3,h,w) say, (B,P,h*step,w*step), at the centres of the step x step parts of a quarter's
-    pixels."""
+def evaluate_planes(planes: Tensor, step: int) -> Tensor:
+    """t of planes (B,P,3,h,w), (B,P,h*step,w*step), at the centres of the step x step parts of a quarter's pixels."""
     x, y = _grid(planes, step)
     values = []
     for plane in planes.unbind(1):
@@ -226,9 +240,9 @@ def _fit(weighted: Tensor) -> Tensor:
 
 
 def _intervals(difference: Tensor, interval: float) -> Tensor:
-    """A difference in t as the U-Net sees it: in intervals, large ones drawn together."""
-    apart = difference / interval
-    return apart.sign() * apart.abs().log1p() / 2
+    """A difference in t as the U-Net sees it: in intervals, on a logarithmic scale with its sign."""
+    intervals = difference / interval
+    return intervals.sign() * intervals.abs().log1p() / 2
 
 
 def _enlarged(quarter: Tensor) -> Tensor:
@@ -236,6 +250,6 @@ def _enlarged(quarter: Tensor) -> Tensor:
 
 
 def _conv(inputs: int, outputs: int | None = None, stride: int = 1) -> nn.Sequential:
-    # An even kernel keeps centres where they are, as in network.py.
+    # An even kernel keeps centres where they are, as in layers.py.
     kernel = 4 if stride == 2 else 3
     return nn.Sequential(nn.Conv2d(inputs, outputs or inputs, kernel, stride, 1), nn.ReLU())

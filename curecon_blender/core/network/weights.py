@@ -15,7 +15,8 @@ import torch
 from ..base.errors import OutOfMemory, WeightsError, ran_out_of_memory
 from ..base.files import write_json
 from ..base.reading import build, read_bytes, read_json
-from .model import LCMMVSNet, NetworkConfig
+from .config import NetworkConfig
+from .model import LCMMVSNet
 
 SHIPPED = Path(__file__).parents[2] / "weights" / "lcm_mvsnet.safetensors"
 _MOST_BYTES = 1 << 30  # of a weights file; the shipped ones have 5 MB
