@@ -31,7 +31,8 @@ def measure(width: int, height: int, sources: int, device: str, precision: str, 
     from curecon_blender.core.base import images
     from curecon_blender.core.base.options import Options
     from curecon_blender.core.base.records import View
-    from curecon_blender.core.depth.estimate import DepthEstimator, plan_tiles
+    from curecon_blender.core.depth.estimate import DepthEstimator
+    from curecon_blender.core.depth.tiles import plan_tiles
     from curecon_blender.core.network.weights import load_network
     from curecon_blender.core.run.peak_memory import PeakMemory
 

@@ -24,11 +24,12 @@ import numpy as np
 
 from curecon_blender.core.base import images
 from curecon_blender.core.base.errors import CuReconError, WorkspaceError
-from curecon_blender.core.base.files import atomic_write, disk_errors
+from curecon_blender.core.base.files import disk_errors
 from curecon_blender.core.base.messages import Message, Progress, Reporter, Warning
 from curecon_blender.core.base.options import Options
 from curecon_blender.core.base.records import View
 from curecon_blender.core.cloud.fuse import NoPointsError, fuse
+from curecon_blender.core.depth.maps import depth_path, write_depth
 from curecon_blender.core.views import record as components
 
 from .plane_sweep import sweep
@@ -84,15 +85,12 @@ def run(workspace: Path, out: Path, method: Method, reporter: Reporter) -> float
     spent = []
     for done, (component, view) in enumerate(views):
         reporter.progress(done, len(views))
-        path = out / "depth" / f"{view.name}.npz"
-        if path.exists():
+        if depth_path(out, view.name).exists():
             continue
         start = time.process_time()
         by_name = {v.name: v for v in component.views}
         depth, confidence = method(view, [by_name[name] for name, _ in view.sources], workspace)
-        with atomic_write(path) as file:
-            np.savez_compressed(file, depth=depth, confidence=confidence.astype(np.float16), K=view.K,
-                                cam_from_world=view.cam_from_world)
+        write_depth(out, view, depth, confidence)
         spent.append(time.process_time() - start)
     reporter.progress(len(views), len(views))
     return float(np.mean(spent)) if spent else 0.0

@@ -31,6 +31,7 @@ import numpy as np
 from curecon_blender.core.base.errors import CuReconError, WorkspaceError
 from curecon_blender.core.base.options import Options
 from curecon_blender.core.base.records import Component, GeoPosition, View
+from curecon_blender.core.depth.maps import read_depth
 from curecon_blender.core.views import record as components
 
 from . import cloud_metrics, depth_metrics
@@ -134,7 +135,8 @@ def depth_against(
             raise WorkspaceError(f"{depth_folder} has no true depth map of {view.name}.", path=depth_folder,
                                  remedy="Make them all: python samples/make_site.py depth --out FOLDER")
         true = depth_metrics.read_depth(path)
-        predicted = depth_metrics.read_depth(workspace / "depth" / f"{view.name}.npz", min_confidence)
+        depth, confidence = read_depth(workspace, view)
+        predicted = np.where(confidence >= min_confidence, depth, 0)
         errors.append(depth_metrics.depth_errors(
             predicted * np.float32(scale), _at_photo(true, view, cameras[view.name]), depth_metrics.true_range(true)
         ))

@@ -24,6 +24,7 @@ from curecon_blender.core.base.images import read_rgb
 from curecon_blender.core.base.records import Component, View
 from curecon_blender.core.cloud.ply import read_cloud
 from curecon_blender.core.cloud.sky import sky_mask
+from curecon_blender.core.depth.maps import read_depth
 from curecon_blender.core.surface.mesh import Mesh, write_mesh
 from curecon_blender.core.views import record as components
 
@@ -77,8 +78,7 @@ def integrate(component: Component, workspace: Path, voxel: float) -> Field:
 
 def _depth(view: View, workspace: Path, z_up: bool) -> tuple[np.ndarray, np.ndarray]:
     """z-depth (H,W) of what is sure enough and no sky, elsewhere 0, and confidence (H,W)."""
-    with np.load(workspace / "depth" / f"{view.name}.npz") as file:
-        depth, confidence = file["depth"].copy(), file["confidence"].astype(np.float32)
+    depth, confidence = (values.astype(np.float32) for values in read_depth(workspace, view))
     depth[confidence < LEAST_CONFIDENCE] = 0
     if z_up:
         depth[sky_mask(read_rgb(workspace / view.image), confidence, view.K, view.cam_from_world)] = 0

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from curecon_blender.core.base.records import Component, Frame, View
+from curecon_blender.core.depth.maps import write_depth
 from curecon_blender.core.views import record as components
 
 BOX = np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.5]])
@@ -90,13 +91,6 @@ def write_scene(workspace: Path, views: Sequence[View], *, confidence: float = 0
         write_depth(workspace, view, depth, np.full(depth.shape, confidence, np.float32))
     components.write(workspace, [component])
     return component
-
-
-def write_depth(workspace: Path, view: View, depth: np.ndarray, confidence: np.ndarray) -> None:
-    np.savez_compressed(
-        workspace / "depth" / f"{view.name}.npz", depth=depth, confidence=confidence.astype(np.float16), K=view.K,
-        cam_from_world=view.cam_from_world,
-    )
 
 
 def write_model(folder: Path, views: Sequence[View]) -> None:

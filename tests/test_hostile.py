@@ -293,7 +293,7 @@ def test_arrays_that_promise_or_hold_something_else(
 
 @pytest.mark.parametrize("damage", ["object", "huge", "cut"])
 def test_depth_maps_that_promise_or_hold_something_else(tmp_path: Path, damage: str) -> None:
-    from curecon_blender.core.cloud.fuse import _read_arrays
+    from curecon_blender.core.depth.maps import read_depth
 
     targets._make_depth(tmp_path)
     view = targets._view()
@@ -303,7 +303,7 @@ def test_depth_maps_that_promise_or_hold_something_else(tmp_path: Path, damage: 
     members["depth"] = {"object": npy("|O", "(4, 5)", pickle.dumps([_Harm()])), "huge": npy("<f4", "(99999, 99999)"),
                         "cut": members["depth"][:-1]}[damage]
     path.write_bytes(npz(**members))
-    refused(WorkspaceError, path, lambda: _read_arrays(view, tmp_path, "depth", "confidence"))
+    refused(WorkspaceError, path, lambda: read_depth(tmp_path, view))
 
 
 # ---- COLMAP models

@@ -13,7 +13,8 @@ from box_scene import cast, make_view, write_scene
 
 from curecon_blender.core.base.errors import DeviceError
 from curecon_blender.core.base.options import Options
-from curecon_blender.core.depth.estimate import DepthEstimator, Tile, plan_tiles, visible_region
+from curecon_blender.core.depth.estimate import DepthEstimator
+from curecon_blender.core.depth.tiles import Tile, plan_tiles, visible_region
 from curecon_blender.core.network.config import PAPER
 from curecon_blender.core.network.cost_volume_cpu import CostVolumeInput, fused_cost_volume
 from curecon_blender.core.network.homographies import homography_terms, pixel_grid

@@ -153,7 +153,8 @@ def test_a_small_memory_budget_changes_the_tiles_and_not_the_depth(
     finished: tuple[Path, Run], site_photos: Path, tmp_path: Path
 ) -> None:
     from curecon_blender.core.base.options import Options
-    from curecon_blender.core.depth.estimate import BASE_BYTES, DepthEstimator, plan_tiles
+    from curecon_blender.core.depth.estimate import DepthEstimator
+    from curecon_blender.core.depth.tiles import BASE_BYTES, plan_tiles
     from curecon_blender.core.network.weights import load_network
 
     workspace = finished[0]

@@ -227,12 +227,11 @@ def _depth_cases(folder: Path) -> st.SearchStrategy[tuple[str, bytes]]:
 
 
 def _read_depth(folder: Path) -> None:
-    from curecon_blender.core.cloud.fuse import _read_arrays
-    from curecon_blender.core.depth.estimate import _is_finished
+    from curecon_blender.core.depth.maps import is_finished, read_depth
 
     view = _view()
-    _is_finished(folder / "depth" / f"{PHOTO}.npz", view, "k")
-    depth, confidence = _read_arrays(view, folder, "depth", "confidence")
+    is_finished(folder, view, "k")
+    depth, confidence = read_depth(folder, view)
     assert depth.shape == confidence.shape == (4, 5)
 
 

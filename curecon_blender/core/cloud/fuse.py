@@ -35,9 +35,9 @@ from ..base.errors import CuReconError, PhotoError, WorkspaceError
 from ..base.files import disk_errors, scratch_folder
 from ..base.messages import Reporter
 from ..base.options import Options
-from ..base.reading import Expected, read_arrays
 from ..base.records import Component, View
 from ..base.sampling import ROW, sample
+from ..depth.maps import read_depth
 from .ply import Cloud, CloudWriter
 from .sky import sky_mask
 
@@ -338,7 +338,7 @@ def _finest_first(views: tuple[View, ...], workspace: Path, reporter: Reporter) 
 
     def ground_sampling_distance(view: View) -> float:
         reporter.check_cancelled()
-        depth = _read_arrays(view, workspace, "depth")[0]
+        depth, _ = read_depth(workspace, view)
         depth = depth[depth > 0]
         return float(np.median(depth) / view.K[0, 0]) if len(depth) else np.inf
 
@@ -382,7 +382,7 @@ class _Cache:
 
 
 def _read_depth_map(view: View, workspace: Path, z_up: bool) -> _DepthMap:
-    depth, confidence = _read_arrays(view, workspace, "depth", "confidence")
+    depth, confidence = read_depth(workspace, view)
     path = workspace / view.image
     remedy = "Delete that file and run Reconstruct again."
     try:
@@ -399,23 +399,3 @@ def _read_depth_map(view: View, workspace: Path, z_up: bool) -> _DepthMap:
         sky = sky_mask(picture, confidence, view.K, view.cam_from_world)
         inverse[sky], confidence[sky] = np.nan, 0
     return _DepthMap(inverse, confidence, picture)
-
-
-def _read_arrays(view: View, workspace: Path, *keys: str) -> list[np.ndarray]:
-    """Arrays (H,W) of `depth/NAME.npz`, after a check that they are of this view."""
-    path = workspace / "depth" / f"{view.name}.npz"
-    remedy = "Delete that file and run Reconstruct again: only that photo's depth is computed anew."
-    expected = {key: Expected((view.height, view.width), "f") for key in keys}
-    expected |= {"K": Expected((3, 3), "f"), "cam_from_world": Expected((3, 4), "f")}
-    try:
-        found = read_arrays(path, expected)
-    except FileNotFoundError as error:
-        raise WorkspaceError(
-            f"The depth map of {view.name} is missing ({path}).",
-            remedy="Run Reconstruct again: it computes the depth maps that are missing.", path=path,
-        ) from error
-    except (OSError, ValueError) as error:
-        raise WorkspaceError(f"The depth map {path} is damaged ({error}).", remedy=remedy, path=path) from error
-    if not all(np.allclose(getattr(view, name), found[name], rtol=1e-4, atol=1e-4) for name in ("K", "cam_from_world")):
-        raise WorkspaceError(f"The depth map {path} was made for another camera.", remedy=remedy, path=path)
-    return [found[key] for key in keys]

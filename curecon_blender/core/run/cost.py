@@ -26,7 +26,8 @@ from ..base.files import write_json
 from ..base.options import PRESETS, STAGES, SURFACE_STAGES, Options
 from ..base.reading import Within, build, read_json
 from ..base.records import Photo
-from ..depth import estimate as depth
+from ..depth import tiles
+from ..depth.estimate import FEATURE_BYTES, choose_device, choose_precision
 from ..sparse.pairs import expected_pairs, metadata_pairs
 from ..sparse.parallel import threads
 from ..surface.build import POINTS_A_FACE, MeshOptions
@@ -125,7 +126,7 @@ def slowness_here(device: str, speeds: Path | None) -> dict[str, float]:
 
     Raises DeviceError when this computer has no such device.
     """
-    chosen = depth.choose_device(device)
+    chosen = choose_device(device)
     known = _read(speeds)
     own = {stage: statistics.median(ratios) for stage in STAGES if (ratios := known.get(_key(stage, chosen)))}
     probed = _probe(chosen)
@@ -150,7 +151,7 @@ def learn(stage: str, seconds: float, photos: tuple[Photo, ...], options: Option
     """Keep in `options.speeds` what a stage of a finished job took; one too short to tell is passed over."""
     if options.speeds is None or seconds < SHORTEST_LEARNED:
         return
-    known, key = _read(options.speeds), _key(stage, depth.choose_device(options.device))
+    known, key = _read(options.speeds), _key(stage, choose_device(options.device))
     ratio = seconds / reference_seconds(photos, count_pairs(photos), options)[stage]
     known[key] = [*known.get(key, []), round(ratio, 3)][-JOBS_KEPT:]
     write_json(options.speeds, known)
@@ -158,7 +159,7 @@ def learn(stage: str, seconds: float, photos: tuple[Photo, ...], options: Option
 
 def _probe(chosen: torch.device) -> dict[str, float]:
     """Seconds here for one of the reference, by stage, from a third of a second's work of the two kinds there are."""
-    dtype = depth.choose_precision("auto", chosen)
+    dtype = choose_precision("auto", chosen)
     volume = torch.randn(1, 8, 32, 120, 160, dtype=dtype, device=chosen)
     kernel = torch.randn(8, 8, 3, 3, 3, dtype=dtype, device=chosen)
     picture = np.random.default_rng(0).random((1200, 1600), dtype=np.float32)
@@ -193,10 +194,10 @@ def _peak_bytes(photos: tuple[Photo, ...], options: Options) -> dict[str, float]
     readers = images.readers(full, workers)
     full *= images.DECODING_BYTES
     budget = options.memory_gib * 2**30 if options.memory_gib else 0.6 * psutil.virtual_memory().available
-    per_pixel = depth.bytes_per_pixel(_hypotheses(photos, size))
-    per_pixel += options.source_views * depth.BYTES_PER_SOURCE_PIXEL
-    tile = max(min(depth.BASE_BYTES + max(pixels) * per_pixel, budget), depth.LEAST_BUDGET)
-    features = min(depth.FEATURE_BYTES, budget / 4, sum(pixels) * FEATURE_BYTES_PER_PIXEL)
+    per_pixel = tiles.bytes_per_pixel(_hypotheses(photos, size))
+    per_pixel += options.source_views * tiles.BYTES_PER_SOURCE_PIXEL
+    tile = max(min(tiles.BASE_BYTES + max(pixels) * per_pixel, budget), tiles.LEAST_BUDGET)
+    features = min(FEATURE_BYTES, budget / 4, sum(pixels) * FEATURE_BYTES_PER_PIXEL)
     faces = max(options.mesh_faces, MeshOptions.max_faces)  # fewer take no more of the cloud away
     meshed = min(sum(pixels), PIXELS_A_POINT * POINTS_A_FACE * faces)
     peaks = {
@@ -210,7 +211,7 @@ def _peak_bytes(photos: tuple[Photo, ...], options: Options) -> dict[str, float]
 
 def _hypotheses(photos: tuple[Photo, ...], size: int) -> int:
     longest = max(max(photo.width, photo.height) for photo in photos)
-    return depth.typical_hypotheses(min(size, longest))
+    return tiles.typical_hypotheses(min(size, longest))
 
 
 def _pixels(photo: Photo, size: int) -> float:

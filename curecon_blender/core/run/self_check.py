@@ -24,7 +24,8 @@ from ..base.errors import CuReconError, SetupError, SparseError
 from ..base.messages import Reporter
 from ..base.options import Options
 from ..cloud.fuse import NoPointsError
-from ..depth.estimate import choose_device, memory_budget
+from ..depth.estimate import choose_device
+from ..depth.tiles import memory_budget
 from .pipeline import reconstruct
 
 LIBRARIES = ("numpy", "pillow", "psutil", "opencv-python-headless", "safetensors", "scipy", "torch", "pycolmap",

@@ -21,14 +21,14 @@ from ..views.undistortion import undistort, undistorted_camera
 @dataclass(frozen=True)
 class Source:
     """A view's pictures. `view` and the file `picture` are of the size that depth was made at, `full` is the view at
-    the largest size there is (or was asked for). `depth_map` is the depth stage's file, if it is there. `camera` is the
+    the largest size there is (or was asked for). `workspace` holds its depth map. `camera` is the
     lens of `original`; None: use `picture` alone."""
 
     view: View
     picture: Path
     full: View
     original: Path
-    depth_map: Path
+    workspace: Path
     camera: pycolmap.Camera | None
 
     def read(self, scale: float, reporter: Reporter) -> tuple[np.ndarray, np.ndarray]:
@@ -73,7 +73,7 @@ def find_sources(
             width, height = images.scaled_size(view.width, view.height, max_size)
             K = _scaled(view.K, width / view.width, height / view.height)
         full = replace(view, width=width, height=height, K=K)
-        sources.append(Source(view, picture, full, original, workspace / "depth" / f"{view.name}.npz", camera))
+        sources.append(Source(view, picture, full, original, workspace, camera))
     return sources
 
 

@@ -19,12 +19,12 @@ import cv2
 import numpy as np
 
 from ..base import images
-from ..base.errors import PhotoError, SurfaceError
+from ..base.errors import PhotoError, SurfaceError, WorkspaceError
 from ..base.files import atomic_write
 from ..base.messages import Reporter
-from ..base.reading import Expected, read_arrays
 from ..base.records import Component
 from ..base.sampling import sample
+from ..depth.maps import read_depth
 from ..surface.mesh import Mesh
 from ..surface.triangles import triangle_areas
 from .baking import Bake, bake
@@ -228,12 +228,10 @@ def _picture(source: Source, reporter: Reporter) -> np.ndarray | None:
 def _behind_something(source: Source, seen: Seen) -> np.ndarray:
     """Whether each face seen (n,) lies behind what the photo's depth map has there: a branch or a passer-by that is
     no part of the mesh. All False where the workspace has no depth map that fits."""
-    expected = Expected((source.view.height, source.view.width), "f")
     try:
-        maps = read_arrays(source.depth_map, {"depth": expected, "confidence": expected})
-    except (OSError, ValueError):
+        depth, confidence = read_depth(source.workspace, source.view)
+    except WorkspaceError:
         return np.zeros(len(seen.face), bool)
-    depth, confidence = maps["depth"], maps["confidence"].astype(np.float32)
     # Without speckles, then widened: the photo at a face's corner counts as much as at its middle.
     known = cv2.medianBlur(np.where(confidence >= _CONFIDENT, depth, 0).astype(np.float32), 5)
     reach = max(7, 2 * round(max(depth.shape) / 200) + 1)
