@@ -47,32 +47,33 @@ def estimate(photos: tuple[Photo, ...]) -> Overlap:
     }
     if lacking := [what for what, count in missing.items() if count > (1 - TOLD_BY) * len(photos)]:
         return Overlap(unknown=" and ".join([", ".join(lacking[:-1]), lacking[-1]] if lacking[1:] else lacking))
-    seers = [seer for photo in sorted(photos, key=lambda photo: photo.time or "") if (seer := _Seer.of(photo))]
-    if len(seers) < 2:
+    in_order = sorted(photos, key=lambda photo: photo.time or "")
+    footprints = [footprint for photo in in_order if (footprint := _Footprint.of(photo))]
+    if len(footprints) < 2:
         return Overlap(unknown="photos that see the ground")
-    positions, _ = gps_enu([seer.photo for seer in seers])
-    for seer, position in zip(seers, positions, strict=True):
-        seer.place(position)
-    return _summary(seers, positions)
+    positions, _ = gps_enu([footprint.photo for footprint in footprints])
+    for footprint, position in zip(footprints, positions, strict=True):
+        footprint.place(position)
+    return _summary(footprints, positions)
 
 
-def _summary(seers: list[_Seer], positions: np.ndarray) -> Overlap:
-    count = len(seers)
+def _summary(footprints: list[_Footprint], positions: np.ndarray) -> Overlap:
+    count = len(footprints)
     order = np.arange(count)
     heading = positions[np.minimum(order + 1, count - 1), :2] - positions[np.maximum(order - 1, 0), :2]
     forward, side, weak = [], [], []
-    for i, seer in enumerate(seers):
+    for i, footprint in enumerate(footprints):
         apart = positions[:, :2] - positions[i, :2]
         distances = np.linalg.norm(apart, axis=1)
         beside = {j for j in (i - 1, i + 1) if 0 <= j < count}
         near = {int(j) for j in np.argsort(distances)[: NEIGHBOURS + 1] if j != i} | beside
-        shares = {j: seer.shared_with(seers[j]) for j in near}
+        shares = {j: footprint.shared_with(footprints[j]) for j in near}
         forward.append(max(shares[j] for j in beside))
         lengths = distances * np.linalg.norm(heading[i])
         across = [shares[j] for j in near - beside if abs(apart[j] @ heading[i]) < ACROSS * lengths[j]]
         side.append(max(across, default=0.0))
         if max(shares.values()) < WEAK:
-            weak.append(seer.photo.name)
+            weak.append(footprint.photo.name)
     beside_others = [share for share in side if share > 0]
     return Overlap(
         forward=float(np.median(forward)),
@@ -80,14 +81,14 @@ def _summary(seers: list[_Seer], positions: np.ndarray) -> Overlap:
     )
 
 
-class _Seer:
+class _Footprint:
     """A photo with the ground that it sees: `ground` (G,3) where its rays meet the plane of the take-off."""
 
     def __init__(self, photo: Photo, focal: float, height: float, rotation: np.ndarray, rays: np.ndarray) -> None:
         self.photo, self._focal, self._height, self._rotation, self._rays = photo, focal, height, rotation, rays
 
     @classmethod
-    def of(cls, photo: Photo) -> _Seer | None:
+    def of(cls, photo: Photo) -> _Footprint | None:
         """None where the metadata does not tell, or the photo hardly sees the ground."""
         if photo.gps is None or photo.gimbal is None or not photo.focal_px or (photo.relative_altitude or 0) <= 0:
             return None
@@ -107,7 +108,7 @@ class _Seer:
         self._centre = np.array([position[0], position[1], self._height])
         self.ground = self._centre + self._rays * (self._height / -self._rays[:, 2])[:, None]
 
-    def shared_with(self, other: _Seer) -> float:
+    def shared_with(self, other: _Footprint) -> float:
         """The share of this photo's ground that the other sees from much the same direction."""
         rays = self.ground - other._centre
         x, y, z = (rays @ other._rotation).T
