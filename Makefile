@@ -36,7 +36,7 @@ demo: .venv/.ready
 test: .venv/.ready $(if $(PYTHON313),.venv-blender52/.ready)
 	$(VENV) -m ruff check .
 	$(VENV) -m mypy curecon_blender/core curecon_blender/job.py training evaluation
-	$(VENV) -m pytest
+	$(VENV) -m pytest -n 2 --dist worksteal --durations=10
 
 zip: .venv/.ready
 	$(VENV) scripts/build_extension.py

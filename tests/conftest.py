@@ -1,25 +1,34 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the tests share: a part of the sample site, and the command line as a user runs it."""
+"""What the tests share: a part of the sample site, small, and the command line as a user runs it."""
 
 from __future__ import annotations
 
 import json
 import os
+import pickle
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import pytest
+from filelock import FileLock
+from PIL import Image
+
+# Threads that wait for each other turn in circles: two tests side by side, of one thread each, take a third of the
+# processor's time that two threads each would. Set before torch is imported, and for every process that a test starts.
+os.environ["OMP_NUM_THREADS"] = "1"
 
 ROOT = Path(__file__).parent.parent
 SITE = ROOT / "samples" / "tulou"
 # Neighbours from above: enough for depth that others confirm, few enough to be quick.
 SITE_PHOTOS = [f"DJI_{i:04d}.JPG" for i in (14, 15, 26, 27, 28, 33)]
 QUICK = ["--quality", "preview", "--max-image-size", "320"]
+SMALL = ["--quality", "preview", "--max-image-size", "192", "--max-faces", "3000", "--texture-size", "512"]
 
 
 @dataclass(frozen=True)
@@ -39,24 +48,63 @@ def curecon(*arguments: object) -> Run:
     """Run the command line with --json from the repository's root."""
     done = subprocess.run(
         [*command(*arguments), "--json"], cwd=ROOT, capture_output=True, text=True, check=False,
-        env={**os.environ, "OMP_NUM_THREADS": "2"},
     )
     lines = done.stdout.strip().splitlines()
     return Run(done.returncode, json.loads(lines[-1]) if lines else {}, done.stderr)
 
 
-@pytest.fixture(scope="session")
-def site_photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a few neighbouring photos of the sample site."""
-    folder = tmp_path_factory.mktemp("site") / "photos"
-    folder.mkdir()
-    for name in SITE_PHOTOS:
-        shutil.copy2(SITE / "photos" / name, folder)
-    return folder
+Made = TypeVar("Made")
+MakeOnce = Callable[[str, Callable[[Path], Made]], Made]
 
 
 @pytest.fixture(scope="session")
-def finished(site_photos: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Run]:
+def made_once(tmp_path_factory: pytest.TempPathFactory) -> MakeOnce[Any]:
+    """What is dear to make, made once a test run though each pytest-xdist worker is a process of its own.
+
+    `made_once(name, make)` is what `make(folder)` returned, pickled, and the folder as it left it: read only.
+    """
+    base = tmp_path_factory.getbasetemp()
+    base = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+
+    def once(name: str, make: Callable[[Path], Any]) -> Any:
+        folder, kept = base / name, base / f"{name}.pickle"
+        with FileLock(base / f"{name}.lock"):
+            if not kept.exists():
+                shutil.rmtree(folder, ignore_errors=True)  # of a worker whose attempt failed
+                folder.mkdir()
+                kept.write_bytes(pickle.dumps(make(folder)))
+        return pickle.loads(kept.read_bytes())
+
+    return once
+
+
+@pytest.fixture(scope="session")
+def site_photos(made_once: MakeOnce[Path]) -> Path:
+    """A folder with a few neighbouring photos of the sample site at half their size, with their metadata."""
+    def halved(folder: Path) -> Path:
+        for name in SITE_PHOTOS:
+            with Image.open(SITE / "photos" / name) as photo:
+                half = photo.resize((photo.width // 2, photo.height // 2), Image.Resampling.LANCZOS)
+                half.save(folder / name, quality=92, exif=photo.info["exif"], xmp=photo.info["xmp"])
+        return folder
+
+    return made_once("site_photos", halved)
+
+
+@pytest.fixture(scope="session")
+def finished(site_photos: Path, made_once: MakeOnce[tuple[Path, Run]]) -> tuple[Path, Run]:
     """The site reconstructed from its photos alone: (workspace, run). Read only: copy it before changing it."""
-    workspace = tmp_path_factory.mktemp("finished") / "workspace"
-    return workspace, curecon("reconstruct", site_photos, "--workspace", workspace, *QUICK)
+    return made_once("finished", lambda folder: (
+        folder, curecon("reconstruct", site_photos, "--workspace", folder, *QUICK)))
+
+
+@pytest.fixture(scope="session")
+def textured(finished: tuple[Path, Run], site_photos: Path, made_once: MakeOnce[tuple[Path, Run]]) -> tuple[Path, Run]:
+    """All seven stages done: (workspace, run). Read only: `before` copies it."""
+    def surfaced(folder: Path) -> tuple[Path, Run]:
+        shutil.copytree(finished[0], folder, dirs_exist_ok=True)  # the cameras are the same
+        run = curecon("reconstruct", site_photos, "--workspace", folder, *SMALL, "--until", "texture")
+        assert run.code == 0 and run.said.count("already done") == 2, run.said
+        return folder, run
+
+    return made_once("textured", surfaced)

@@ -130,7 +130,7 @@ def test_killed_in_the_sparse_stage_it_still_finishes(site_photos: Path, tmp_pat
     while not (tmp_path / "w" / "sparse" / "features.db").exists():
         assert time.monotonic() < deadline and process.poll() is None
         time.sleep(0.01)
-    time.sleep(1.0)
+    time.sleep(0.3)
     process.kill()
     process.wait()
     run = curecon(*arguments)

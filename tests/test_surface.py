@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import signal
 import subprocess
@@ -13,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
-from conftest import QUICK, ROOT, Run, command, curecon
+from conftest import QUICK, ROOT, MakeOnce, Run, command, curecon
 from PIL import Image
 
 from curecon_blender.core.cloud.ply import read_cloud
@@ -22,12 +23,14 @@ from curecon_blender.core.surface.mesh import read_mesh
 FACES = ["--max-faces", "20000", "--texture-size", "1024"]
 
 
-@pytest.fixture(scope="module")
-def surfaced(finished: tuple[Path, Run], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Run]:
+@pytest.fixture(scope="session")
+def surfaced(finished: tuple[Path, Run], made_once: MakeOnce[tuple[Path, Run]]) -> tuple[Path, Run]:
     """A copy of the finished workspace with its surface: (workspace, run). Read only."""
-    workspace = tmp_path_factory.mktemp("surfaced") / "workspace"
-    shutil.copytree(finished[0], workspace)
-    return workspace, curecon("surface", workspace, *FACES)
+    def surface(folder: Path) -> tuple[Path, Run]:
+        shutil.copytree(finished[0], folder, dirs_exist_ok=True)
+        return folder, curecon("surface", folder, *FACES)
+
+    return made_once("surfaced", surface)
 
 
 def test_a_finished_cloud_becomes_a_textured_mesh(surfaced: tuple[Path, Run]) -> None:
@@ -84,7 +87,9 @@ def test_cancelled_while_it_meshes_it_stops_at_once_and_leaves_nothing(
     deadline = time.monotonic() + 120
     children: list[psutil.Process] = []
     while not children and worker.poll() is None and time.monotonic() < deadline:
-        children = [c for c in psutil.Process(worker.pid).children() if "poisson_meshing" in c.cmdline()]
+        for child in psutil.Process(worker.pid).children():
+            with contextlib.suppress(psutil.NoSuchProcess):  # one that has just ended
+                children += [child] if "poisson_meshing" in child.cmdline() else []
         time.sleep(0.02)
     assert children, "the mesh was made before it could be cancelled"
     worker.send_signal(signal.SIGINT)

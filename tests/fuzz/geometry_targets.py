@@ -1,0 +1,150 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Clouds, meshes, depth maps and the other arrays of a workspace, spoiled."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from hypothesis import strategies as st
+
+from .mutations import archives, spoiled_bytes, spoiled_words
+from .target import PHOTO
+
+
+def make_cloud(folder: Path) -> None:
+    from curecon_blender.core.cloud.edits import write_removed
+    from curecon_blender.core.cloud.ply import Cloud, CloudWriter
+
+    rng = np.random.default_rng(1)
+    count = 9
+    with CloudWriter(folder / "cloud.ply") as writer:
+        writer.write(Cloud(
+            points=rng.random((count, 3), np.float32), colours=rng.integers(0, 255, (count, 3), np.uint8),
+            normals=rng.random((count, 3), np.float32), confidence=rng.random(count, np.float32),
+            views=np.full(count, 3, np.uint8),
+        ))
+    write_removed(folder / "cloud.ply", np.arange(count) % 2 == 0)
+
+
+def _header_of(content: bytes) -> int:
+    return content.index(b"end_header\n") + len(b"end_header\n")
+
+
+def ply_cases(name: str) -> Callable[[Path], st.SearchStrategy[tuple[str, bytes]]]:
+    def cases(folder: Path) -> st.SearchStrategy[tuple[str, bytes]]:
+        content = (folder / name).read_bytes()
+        return st.tuples(st.just(name), st.one_of(
+            spoiled_words(content, header=_header_of(content)), spoiled_bytes(content), st.binary(max_size=100),
+        ))
+    return cases
+
+
+def check_cloud(folder: Path) -> None:
+    from curecon_blender.core.cloud.ply import point_count, read_cloud
+
+    cloud = read_cloud(folder / "cloud.ply")
+    assert np.isfinite(cloud.points).all() and np.isfinite(cloud.confidence).all()
+    assert point_count(folder / "cloud.ply") == len(cloud)
+
+
+def make_mesh(folder: Path) -> None:
+    from curecon_blender.core.surface.mesh import Mesh, write_mesh
+
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float32)
+    write_mesh(folder / "mesh.ply", Mesh(
+        vertices=vertices, faces=np.array([[0, 1, 2], [0, 2, 3]], np.int32), colours=np.zeros((4, 3), np.uint8),
+        distance=np.zeros(4, np.float32), views=np.ones(4, np.uint8), filled=np.array([False, True]),
+    ).with_texture(np.zeros((2, 3, 2), np.float32), np.zeros(2, np.int32), ("texture_0.png",)))
+
+
+def check_mesh(folder: Path) -> None:
+    from curecon_blender.core.surface.mesh import filled_share, read_mesh
+
+    mesh = read_mesh(folder / "mesh.ply")
+    assert np.isfinite(filled_share([mesh]))
+    assert all((folder / page).resolve().parent == folder.resolve() for page in mesh.pages)
+
+
+def removed_cases(folder: Path) -> st.SearchStrategy[tuple[str, bytes]]:
+    from curecon_blender.core.cloud.edits import digest
+
+    named = digest(folder / "cloud.ply").encode("utf-32-le")
+    seed = {"bits": ("|u1", (2,), b"\xaa\x80"), "cloud": ("<U64", (), named)}
+    return st.tuples(st.just("removed.npz"), st.one_of(
+        spoiled_bytes((folder / "removed.npz").read_bytes()), archives(seed),
+    ))
+
+
+def check_removed(folder: Path) -> None:
+    from curecon_blender.core.cloud.edits import edits_key, is_stale, read_edited_cloud
+
+    read_edited_cloud(folder / "cloud.ply")
+    is_stale(folder / "cloud.ply")
+    edits_key(folder / "cloud.ply")
+
+
+def some_view() -> Any:
+    from curecon_blender.core.base.records import View
+
+    pose = np.array([[1.0, 0, 0, 0.5], [0, 1, 0, 0.25], [0, 0, 1, 2]])
+    return View(
+        name=PHOTO, image=f"undistorted/{PHOTO}.jpg", width=5, height=4, near=1.0, far=9.0, cam_from_world=pose,
+        K=np.array([[6.0, 0, 2.5], [0, 6, 2], [0, 0, 1]]), sources=(("2.jpg", 1.5),), overlaps=("2.jpg",),
+        original="/photos/1.jpg",
+    )
+
+
+def make_depth(folder: Path) -> None:
+    view = some_view()
+    (folder / "depth").mkdir()
+    np.savez(folder / "depth" / f"{PHOTO}.npz", depth=np.ones((4, 5), np.float32), key=np.array("k"), K=view.K,
+             confidence=np.ones((4, 5), np.float16), cam_from_world=view.cam_from_world)
+
+
+def depth_cases(folder: Path) -> st.SearchStrategy[tuple[str, bytes]]:
+    view, name = some_view(), f"depth/{PHOTO}.npz"
+    seed = {
+        "depth": ("<f4", (4, 5), np.ones((4, 5), "<f4").tobytes()), "K": ("<f8", (3, 3), view.K.tobytes()),
+        "confidence": ("<f2", (4, 5), np.ones((4, 5), "<f2").tobytes()), "key": ("<U1", (), "k".encode("utf-32-le")),
+        "cam_from_world": ("<f8", (3, 4), view.cam_from_world.tobytes()),
+    }
+    return st.tuples(st.just(name), st.one_of(spoiled_bytes((folder / name).read_bytes()), archives(seed)))
+
+
+def check_depth(folder: Path) -> None:
+    from curecon_blender.core.depth.maps import is_finished, read_depth
+
+    view = some_view()
+    is_finished(folder, view, "k")
+    depth, confidence = read_depth(folder, view)
+    assert depth.shape == confidence.shape == (4, 5)
+
+
+def _told() -> Any:
+    return replace(some_view(), points=2)
+
+
+def make_points(folder: Path) -> None:
+    from curecon_blender.core.views import sparse_points
+
+    sparse_points.write(folder, PHOTO, np.ones((2, 4), np.float32))
+
+
+def points_cases(folder: Path) -> st.SearchStrategy[tuple[str, bytes]]:
+    name = f"undistorted/{PHOTO}.points.npz"
+    seed = {"points": ("<f4", (2, 4), np.ones((2, 4), "<f4").tobytes())}
+    return st.tuples(st.just(name), st.one_of(spoiled_bytes((folder / name).read_bytes()), archives(seed)))
+
+
+def check_points(folder: Path) -> None:
+    from curecon_blender.core.network import refinement
+    from curecon_blender.core.views import sparse_points
+
+    found = sparse_points.read(folder, _told())
+    assert found.shape == (2, 4)
+    assert np.isfinite(refinement.rasterise_points(found, 1.0, 9.0, (32, 32))).all()
