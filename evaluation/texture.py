@@ -32,8 +32,9 @@ from curecon_blender.core.base.records import Component, View
 from curecon_blender.core.base.sampling import sample
 from curecon_blender.core.surface.mesh import Mesh, mesh_file, read_mesh
 from curecon_blender.core.surface.triangles import triangle_areas
-from curecon_blender.core.texture.texturing import TextureOptions, texture_mesh
-from curecon_blender.core.texture.visibility import in_camera, project, scan_convert
+from curecon_blender.core.texture.rasterise import inverse_depth_buffer, scan_convert
+from curecon_blender.core.texture.texture import TextureOptions, texture_mesh
+from curecon_blender.core.texture.visibility import in_camera, project
 from curecon_blender.core.views import record as components
 
 
@@ -64,9 +65,7 @@ def render(mesh: Mesh, pages: list[np.ndarray], view: View) -> tuple[np.ndarray,
     corners = project(camera, view.K)[mesh.faces]
     with np.errstate(divide="ignore"):
         inverse = (1 / camera[:, 2])[mesh.faces]
-    nearest = np.zeros(view.height * view.width, np.float32)
-    for face, pixel, weights in scan_convert(corners, view.width, view.height):
-        np.maximum.at(nearest, pixel, np.einsum("nk,nk->n", weights, inverse[face]))
+    nearest = inverse_depth_buffer(corners, inverse, view.width, view.height).ravel()
     shown = np.full(view.height * view.width, -1, np.int32)
     uv = np.zeros((view.height * view.width, 2), np.float32)
     for face, pixel, weights in scan_convert(corners, view.width, view.height):

@@ -33,7 +33,7 @@ from ..photos.record import read_photos, write_photos
 from ..sparse import find_cameras
 from ..surface.build import MeshOptions, build_mesh
 from ..surface.mesh import mesh_file, read_mesh, textured_folder, write_mesh
-from ..texture.texturing import TextureOptions, texture_mesh
+from ..texture.texture import TextureOptions, texture_mesh
 from ..views import record as views_record
 from ..views.prepare import prepare_views
 from . import cost

@@ -14,8 +14,9 @@ from ..base.messages import Reporter
 from ..base.sampling import sample
 from .charts import PADDING, Layout
 from .photo_sources import Source
+from .rasterise import scan_convert
 from .seams import Nodes
-from .visibility import in_camera, project, scan_convert
+from .visibility import in_camera, project
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,7 +17,7 @@ import numpy as np
 import xatlas
 
 from ..base.records import View
-from ..surface.triangles import triangle_areas
+from ..surface.triangles import face_normals, triangle_areas
 from .labelling import patches
 from .visibility import in_camera, project, smooth_normals
 
@@ -144,8 +144,7 @@ def _facing(
     most, or, so that there are few charts, the one that the small patch that it belongs to faces most."""
     patch = patches(label, neighbours)[unseen]
     _, patch, size = np.unique(patch, return_inverse=True, return_counts=True)
-    a, b, c = (vertices[faces[unseen, k]].astype(np.float64) for k in range(3))
-    normal = np.cross(b - a, c - a)
+    normal = face_normals(vertices.astype(np.float64), faces[unseen])
     whole = np.stack([np.bincount(patch, normal[:, axis], len(size)) for axis in range(3)], axis=1)
     smooth = smooth_normals(vertices, faces)[unseen]
     normal = np.where((size < _SMALL_PATCH)[patch, None], whole[patch], smooth)

@@ -10,14 +10,13 @@ photos. It is minimised by mean-field annealing over the face graph, all faces a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
-CANDIDATES = 8  # photos kept a face
-UNSEEN = -1
+from ..base.graphs import connected_components
+from .candidates import CANDIDATES, UNSEEN, Candidates
+
 _NOTHING = -2  # stands beside the photos as a choice: no photo at all
 _NOTHING_COST = 1.5  # for a face that no photo measured
 _STRANGE_COST = 3.0  # for a photo that shows there what was measured nowhere about it
@@ -33,54 +32,6 @@ _SMALL = 24  # faces: patches below it go to a neighbour that can take them
 _GAIN_FACES = 40_000  # a sample of faces is plenty to tell exposures
 _GAIN_PRIOR = 1e-3
 _BLOCK = 1 << 17
-
-
-@dataclass(frozen=True)
-class Candidates:
-    """The best photos of each of M faces, in no order, filled in place.
-
-    `view` (M,K) int16, index of a photo or UNSEEN; `quality` (M,K) float32, 0 where there is none; `colour` (M,K,3)
-    uint8, mean sRGB about the face in that photo.
-    """
-
-    view: np.ndarray
-    quality: np.ndarray
-    colour: np.ndarray
-
-    @classmethod
-    def empty(cls, faces: int) -> Candidates:
-        return cls(
-            np.full((faces, CANDIDATES), UNSEEN, np.int16), np.zeros((faces, CANDIDATES), np.float32),
-            np.zeros((faces, CANDIDATES, 3), np.uint8),
-        )
-
-    def add(self, view: int, face: np.ndarray, quality: np.ndarray, colour: np.ndarray) -> None:
-        """Let photo `view` take the place of the poorest candidate of each `face` (n,), where it is better."""
-        slot = self.quality[face].argmin(axis=1)
-        better = quality > self.quality[face, slot]
-        face, slot = face[better], slot[better]
-        self.view[face, slot] = view
-        self.quality[face, slot] = quality[better]
-        self.colour[face, slot] = colour[better]
-
-
-def face_neighbours(faces: np.ndarray) -> np.ndarray:
-    """The face across each edge (M,3) int32 (edge k from corner k to k + 1), -1 at a border.
-
-    Where more than two faces share an edge, they are joined in pairs as they come.
-    """
-    ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2).astype(np.int64), axis=1)
-    key = ends[:, 0] * (int(faces.max(initial=0)) + 1) + ends[:, 1]
-    order = np.argsort(key, kind="stable")
-    same = key[order[1:]] == key[order[:-1]]
-    # In a run of equal edges the first goes with the second, the third with the fourth.
-    position = np.arange(len(same))
-    run_start = np.maximum.accumulate(np.where(np.r_[True, ~same[:-1]], position, 0)) if len(same) else position
-    first = np.flatnonzero(same & ((position - run_start) % 2 == 0))
-    neighbours = np.full(len(key), -1, np.int32)
-    one, two = order[first], order[first + 1]
-    neighbours[one], neighbours[two] = two // 3, one // 3
-    return neighbours.reshape(-1, 3)
 
 
 def exposure_gains(candidates: Candidates, views: int) -> np.ndarray:
@@ -218,12 +169,8 @@ def _softmax(cost: np.ndarray, temperature: float) -> np.ndarray:
 
 def patches(label: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
     """Numbers (M,) int32 from 0 of the connected patches of faces with the same label (M,)."""
-    face, edge = np.nonzero(neighbours >= 0)
-    other = neighbours[face, edge]
-    same = label[face] == label[other]
-    graph = sp.csr_array((np.ones(same.sum(), bool), (face[same], other[same])), shape=(len(label), len(label)))
-    numbers: np.ndarray = sp.csgraph.connected_components(graph, directed=False)[1]
-    return numbers
+    face, edge = np.nonzero((neighbours >= 0) & (label[neighbours] == label[:, None]))
+    return connected_components(np.stack([face, neighbours[face, edge]], axis=1), len(label))
 
 
 def _absorb_small_patches(

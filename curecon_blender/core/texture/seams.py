@@ -15,6 +15,8 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import cg
 
+from ..surface.triangles import mesh_edges
+
 _SMOOTH = 1.0  # weight of a small change along an edge, beside 1 for meeting at a seam
 _FADE = 2e-3  # of a small correction: it halves over some 15 edges
 _TOLERANCE = 1e-3
@@ -58,9 +60,7 @@ class Nodes:
 
     def edges(self) -> tuple[np.ndarray, np.ndarray]:
         """Pairs (E,), (E,) of nodes at the two ends of an edge of a face."""
-        corner = self.corner[self.corner[:, 0] >= 0].astype(np.int64)
-        ends = np.sort(np.stack([corner, np.roll(corner, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
-        start, end = np.divmod(np.unique(ends[:, 0] * len(self.vertex) + ends[:, 1]), max(len(self.vertex), 1))
+        start, end = mesh_edges(self.corner[self.corner[:, 0] >= 0])[0].T
         return start, end
 
 

@@ -1,92 +1,24 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What of a mesh a camera sees: scan conversion of triangles and a depth buffer of the mesh, in numpy alone."""
+"""What of a mesh a camera sees, by a depth buffer of the mesh."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from ..base.records import View
-from ..surface.triangles import triangle_areas
+from ..surface.triangles import face_normals, triangle_areas
+from .rasterise import inverse_depth_buffer, scan_convert
 
-_BLOCK = 1 << 20  # pixels worked on at once: some tens of bytes each, and a good size for the processor's cache
 _MARGIN = 1 / 800  # of the picture's longest side: a point this near to an occluder's edge counts as hidden
 _SLACK = 2.5  # pixels of depth along the surface that two visits to the same place may differ by
 _RELATIVE_SLACK = 5e-4  # of the depth: what a surface of single precision and rough triangles needs
 _STEEPEST = 5.0  # tangent of the angle from the surface's normal beyond which the slack grows no further
 _SMOOTHINGS = 3
 _LEAST_COSINE = 0.08  # a face seen at a flatter angle (85 degrees from its normal) gives no texture
-
-
-def scan_convert(
-    corners: np.ndarray, width: int, height: int, block: int = _BLOCK
-) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """The pixels that triangles cover, in blocks of about `block` pixels.
-
-    `corners` (M,3,2) in pixels, x right and y down, pixel centres at .5. Yields (face (n,), pixel (n,), barycentric
-    (n,3) float32): `pixel` is the flat index y * width + x. A pixel belongs to a triangle when its centre is inside,
-    edges half open, so that triangles side by side share none. Rows are found from the triangles and spans from the
-    rows, so that no work goes into pixels outside.
-    """
-    corners = np.asarray(corners, np.float64)
-    x, y = corners[..., 0], corners[..., 1]
-    with np.errstate(invalid="ignore"):
-        top = np.ceil(np.clip(y.min(axis=1), 0, height) - 0.5)
-        bottom = np.ceil(np.clip(y.max(axis=1), 0, height) - 0.5)
-        columns = np.clip(x.max(axis=1), 0, width) - np.clip(x.min(axis=1), 0, width)
-    rows = np.nan_to_num(bottom - top).astype(np.int64)
-    rows[~np.isfinite(columns)] = 0
-    found = np.flatnonzero(rows)
-    if not len(found):
-        return
-    work = np.cumsum(rows[found] * (1 + np.nan_to_num(columns[found]) / 2))
-    for part in np.split(found, np.searchsorted(work, np.arange(block, work[-1], block))):
-        if not len(part):
-            continue
-        x, y = corners[part, :, 0], corners[part, :, 1]
-        slopes = _slopes(corners[part])
-        face, row = _expand(np.arange(len(part)), top[part].astype(np.int64), rows[part])
-        centre = row + 0.5
-        left, right = np.full(len(face), np.inf), np.full(len(face), -np.inf)
-        for a, b in ((0, 1), (1, 2), (2, 0)):
-            # From the upper to the lower end, so that the two triangles at an edge compute the same crossing.
-            swap = y[face, a] > y[face, b]
-            start, end = np.where(swap, b, a), np.where(swap, a, b)
-            y0, y1, x0, x1 = y[face, start], y[face, end], x[face, start], x[face, end]
-            crosses = (y0 <= centre) & (centre < y1)
-            crossing = x0 + (centre - y0) * ((x1 - x0) / np.where(crosses, y1 - y0, 1))
-            left = np.where(crosses, np.minimum(left, crossing), left)
-            right = np.where(crosses, np.maximum(right, crossing), right)
-        first = np.ceil(np.clip(left, 0, width) - 0.5).astype(np.int64)
-        count = np.maximum(np.ceil(np.clip(right, 0, width) - 0.5).astype(np.int64) - first, 0)
-        span, column = _expand(np.arange(len(face)), first, count)
-        face, row = face[span], row[span]
-        dx, dy = column + 0.5 - x[face, 0], row + 0.5 - y[face, 0]
-        weights = np.empty((len(face), 3), np.float32)
-        for k in (1, 2):
-            weights[:, k] = slopes[face, k - 1, 0] * dx + slopes[face, k - 1, 1] * dy
-        weights[:, 0] = 1 - weights[:, 1] - weights[:, 2]
-        yield part[face], row * width + column, weights
-
-
-def _expand(item: np.ndarray, first: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Each item (n,) `count` times over, and the numbers first, first + 1, ... beside it."""
-    start = np.cumsum(count) - count
-    repeated = np.repeat(np.arange(len(item)), count)
-    return item[repeated], np.arange(len(repeated)) - start[repeated] + first[repeated]
-
-
-def _slopes(corners: np.ndarray) -> np.ndarray:
-    """How the weights of the second and third corner change over x and y, (n,2,2), in triangles (n,3,2)."""
-    ab, ac = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    area = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
-    area[area == 0] = np.inf
-    slopes: np.ndarray = np.stack([ac[:, 1], -ac[:, 0], -ab[:, 1], ab[:, 0]], axis=1) / area[:, None]
-    return slopes.reshape(-1, 2, 2)
 
 
 @dataclass(frozen=True)
@@ -117,17 +49,6 @@ def project(points: np.ndarray, K: np.ndarray) -> np.ndarray:
     return np.asarray(ray @ K[:2].T.astype(ray.dtype))
 
 
-def inverse_depth_buffer(corners: np.ndarray, inverse_depth: np.ndarray, width: int, height: int) -> np.ndarray:
-    """The nearest surface at each pixel as inverse depth (H,W) float32, 0 where there is none.
-
-    `corners` (M,3,2) pixels and `inverse_depth` (M,3) at them; a face with a corner behind the camera is left out.
-    """
-    buffer = np.zeros(height * width, np.float32)
-    for face, pixel, weights in scan_convert(corners, width, height):
-        np.maximum.at(buffer, pixel, np.einsum("nk,nk->n", weights, inverse_depth[face]))
-    return buffer.reshape(height, width)
-
-
 def visible_faces(vertices: np.ndarray, faces: np.ndarray, view: View) -> Seen:
     """The faces (M,3) that `view` sees from their front, inside its picture, with nothing of the mesh before them.
 
@@ -138,14 +59,13 @@ def visible_faces(vertices: np.ndarray, faces: np.ndarray, view: View) -> Seen:
     camera = in_camera(vertices, view)
     pixels = project(camera, view.K)
     corners = pixels[faces]
-    a, b, c = (camera[faces[:, k]] for k in range(3))
-    centroid = (a + b + c) / 3
-    normal = np.cross(b - a, c - a)
+    centroid = (camera[faces[:, 0]] + camera[faces[:, 1]] + camera[faces[:, 2]]) / 3
+    normal = face_normals(camera, faces)
     lengths = np.linalg.norm(normal, axis=1) * np.linalg.norm(centroid, axis=1)
     cosine = -np.einsum("nk,nk->n", normal, centroid) / np.maximum(lengths, np.finfo(np.float32).tiny)
     with np.errstate(divide="ignore"):
         inverse = (1 / camera[:, 2])[faces]
-    del normal, lengths, b, c, a
+    del normal, lengths
     buffer = inverse_depth_buffer(corners, inverse, view.width, view.height)
     with np.errstate(invalid="ignore"):
         inside = ((corners > 1) & (corners < (view.width - 1, view.height - 1))).all(axis=(1, 2))
@@ -185,8 +105,7 @@ def visible_faces(vertices: np.ndarray, faces: np.ndarray, view: View) -> Seen:
 
 def smooth_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Unit normals (M,3) float32 of the faces, averaged over their surroundings: choices by them change gradually."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    normals = np.cross(b - a, c - a)
+    normals = face_normals(vertices, faces)
     for _ in range(_SMOOTHINGS):
         at_vertex = np.stack([
             sum(np.bincount(faces[:, corner], normals[:, axis], len(vertices)) for corner in range(3))

@@ -2,46 +2,42 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A texture for a mesh from the photos: the best photo for each face, levelled at the seams, on pages.
 
-1. Every photo, one at a time, says which faces it sees and how well (visibility.py, this file).
+1. Every photo, one at a time, says which faces it sees and how well (visibility.py, candidates.py).
 2. Each face chooses its photo, so that patches are large and outliers are left out (labelling.py).
 3. Patches become charts, laid out as their photos see them, and are packed into pages (charts.py).
-4. Corrections make colours meet at the seams (seams.py); then every photo, again one at a time and at full size,
-   gives its colours to the texels of its faces (baking.py).
+4. Corrections make colours meet at the seams (seams.py).
+5. Every photo, again one at a time and at full size, gives its colours to the texels of its faces (baking.py).
 """
 
 from __future__ import annotations
 
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from ..base import images
-from ..base.errors import PhotoError, SurfaceError, WorkspaceError
+from ..base.errors import SurfaceError
 from ..base.files import atomic_write
 from ..base.messages import Reporter
 from ..base.records import Component
 from ..base.sampling import sample
-from ..depth.maps import read_depth
 from ..surface.mesh import Mesh
-from ..surface.triangles import triangle_areas
+from ..surface.triangles import face_neighbours, triangle_areas
 from .baking import Bake, bake
+from .candidates import Candidates, add_candidates
 from .charts import Layout, lay_out
-from .labelling import Candidates, choose_photos, exposure_gains, face_neighbours
+from .labelling import choose_photos, exposure_gains
 from .photo_sources import Source, find_sources
 from .seams import Nodes, cross_fade, diffuse, level
-from .visibility import Seen, in_camera, project, smooth_normals, visible_faces
+from .visibility import in_camera, project, smooth_normals
 
 PAGE_SIZES = (256, 8192)  # pixels a side: below, padding takes most of a page; above, graphics cards give up
-_RIM = 5 / 800  # of the longest side: nearer than this to the mesh's outline or the picture's edge a photo counts less
-_RIM_LEAST = 0.03
-_GRADIENT_FLOOR = 2.0  # of 255 a pixel: flat plaster is not blurred because it has no edges
-_CONFIDENT, _IN_FRONT = 0.3, 0.03  # a depth that counts, and how far before a face it must be, of its depth
-_BEHIND = 0.02  # of its quality is left to a photo that has something else in front of a face
 _SMALL_FACE = 64.0  # texels of area: larger faces are not cross-faded
-_PASSES = 3
+_PASSES = 3  # over the photos: candidates, levelling, baking
 
 
 class TextureError(SurfaceError):
@@ -63,7 +59,7 @@ class TextureOptions:
 
 
 @dataclass(frozen=True)
-class _Chosen:
+class _Labelling:
     """Each face's photo `label` (M,) int16, -1 for none; `usable` (M,K) int16, all photos that see it well; `gains`
     (V,3), the factors that photos' sRGB values are multiplied by."""
 
@@ -85,39 +81,15 @@ def texture_mesh(
     _check(mesh, options)
     sources = _sources(component, workspace, options, reporter)
     neighbours = face_neighbours(mesh.faces)
-    chosen = _choose(mesh, sources, neighbours, options, reporter)
-    full_views = tuple(source.full for source in sources)
-    layout = lay_out(
-        mesh.vertices, mesh.faces, chosen.label, neighbours, full_views, options.page_size, options.max_pages
-    )
-    if layout is None:
-        raise TextureError(
-            f"The texture does not fit on {options.max_pages} page(s) of {options.page_size} pixels.",
-            remedy="Choose larger pages or more of them, or build the mesh with fewer faces.",
-        )
-    nodes = Nodes.of(mesh.faces, chosen.label, len(sources))
-    correction, colours = _level(mesh, sources, chosen, nodes, options, reporter)
-    plan = _plan(mesh, chosen, layout, nodes, correction, colours)
-    at_once = int(options.memory_gib * 2**30 // (plan.bytes_per_texel * layout.size**2))
-    if at_once < 1:
-        raise TextureError(
-            f"A page of {layout.size} pixels does not fit into {options.memory_gib:g} GiB of memory.",
-            remedy="Choose smaller pages or a larger memory budget.",
-        )
-    kind = "jpg" if options.jpeg else "png"
-    names = tuple(f"texture_{number}.{kind}" for number in range(layout.pages))
-    encoded = []
-    for start in range(0, layout.pages, at_once):
-        numbers = range(start, min(start + at_once, layout.pages))
-        share = _PASSES - 1 + start / layout.pages, len(numbers) / layout.pages
-        for page in bake(plan, sources, numbers, reporter,
-                         lambda done: _progress(reporter, share, done, len(sources))):  # noqa: B023
-            settings = [cv2.IMWRITE_JPEG_QUALITY, 93] if options.jpeg else [cv2.IMWRITE_PNG_COMPRESSION, 3]
-            encoded.append(cv2.imencode(f".{kind}", page[..., ::-1], settings)[1])
-    _write(folder, names, encoded)
+    labelling = _label(mesh, sources, neighbours, options, reporter)
+    layout = _lay_out(mesh, labelling, neighbours, sources, options)
+    nodes = Nodes.of(mesh.faces, labelling.label, len(sources))
+    correction, colours = _level(mesh, sources, labelling, nodes, options, reporter)
+    plan = _plan(mesh, labelling, layout, nodes, correction, colours)
+    names = _write(folder, _encoded_pages(plan, sources, options, reporter), options)
     uv = layout.corners / layout.size
     uv[..., 1] = 1 - uv[..., 1]
-    return replace(mesh, colours=colours, filled=mesh.filled | (chosen.label < 0)).with_texture(
+    return replace(mesh, colours=colours, filled=mesh.filled | (labelling.label < 0)).with_texture(
         uv, layout.page, names
     )
 
@@ -125,17 +97,17 @@ def texture_mesh(
 def colour_vertices(mesh: Mesh, component: Component, workspace: Path, reporter: Reporter) -> Mesh:
     """The mesh with vertex colours from the photos, without UVs: the light alternative to a texture.
 
-    Photos are chosen and levelled as for a texture, and taken from the workspace's undistorted pictures. Faces that
+    Photos are labelling and levelled as for a texture, and taken from the workspace's undistorted pictures. Faces that
     no photo shows are coloured from their surroundings and marked `filled`. Raises TextureError.
     """
     options = TextureOptions()
     _check(mesh, options)
     sources = _sources(component, workspace, options, reporter)
-    chosen = _choose(mesh, sources, face_neighbours(mesh.faces), options, reporter)
-    nodes = Nodes.of(mesh.faces, chosen.label, len(sources))
-    _, colours = _level(mesh, sources, chosen, nodes, options, reporter)
+    labelling = _label(mesh, sources, face_neighbours(mesh.faces), options, reporter)
+    nodes = Nodes.of(mesh.faces, labelling.label, len(sources))
+    _, colours = _level(mesh, sources, labelling, nodes, options, reporter)
     reporter.progress(100, 100)
-    return replace(mesh, colours=colours, filled=mesh.filled | (chosen.label < 0), uv=None, page=None, pages=())
+    return replace(mesh, colours=colours, filled=mesh.filled | (labelling.label < 0), uv=None, page=None, pages=())
 
 
 def _check(mesh: Mesh, options: TextureOptions) -> None:
@@ -176,31 +148,15 @@ def _progress(reporter: Reporter, share: tuple[float, float], done: int, total: 
     reporter.progress(round(100 * (share[0] + share[1] * done / total) / _PASSES), 100)
 
 
-def _choose(
+def _label(
     mesh: Mesh, sources: list[Source], neighbours: np.ndarray, options: TextureOptions, reporter: Reporter
-) -> _Chosen:
+) -> _Labelling:
+    """Steps 1 and 2. Raises TextureError when no photo shows a face."""
     candidates = Candidates.empty(len(mesh.faces))
     normals = smooth_normals(mesh.vertices, mesh.faces)
-    centroids = mesh.vertices[mesh.faces].mean(axis=1)
     for number, source in enumerate(sources):
         _progress(reporter, (0, 1), number, len(sources))
-        picture = _picture(source, reporter)
-        if picture is None:
-            continue
-        view = source.view
-        seen = visible_faces(mesh.vertices, mesh.faces, view)
-        ray = (centroids[seen.face] - view.centre).astype(np.float32)
-        smooth = -np.einsum("nk,nk->n", normals[seen.face], ray) / np.linalg.norm(ray, axis=1)
-        cosine = np.clip(smooth, 0.05, 1)
-        size = max(view.width, view.height)
-        window = 2 * round(size / 400) + 1
-        gradient = cv2.blur(_gradient(picture), (4 * window + 1, 4 * window + 1))
-        sharp = sample(gradient, *seen.centre.T)
-        rim = np.clip(seen.rim / (_RIM * size), _RIM_LEAST, 1)
-        quality = (source.full.K[0, 0] / seen.depth * cosine) ** 2 * np.sqrt(sharp + _GRADIENT_FLOOR) * rim
-        quality[_behind_something(source, seen)] *= _BEHIND
-        colour = sample(cv2.blur(picture, (window, window)), *seen.centre.T)
-        candidates.add(number, seen.face, quality.astype(np.float32), colour)
+        add_candidates(candidates, number, source, mesh, normals, reporter)
     if not (candidates.quality > 0).any():
         raise TextureError(
             "No photo shows any face of the mesh.",
@@ -209,49 +165,29 @@ def _choose(
     gains = exposure_gains(candidates, len(sources))
     anchor = mesh.colours[mesh.faces].mean(axis=1).astype(np.uint8)
     label, usable = choose_photos(candidates, gains, anchor, ~mesh.filled, neighbours)
-    return _Chosen(label, usable, gains if options.level else np.ones_like(gains))
+    return _Labelling(label, usable, gains if options.level else np.ones_like(gains))
 
 
-def _picture(source: Source, reporter: Reporter) -> np.ndarray | None:
-    """The undistorted picture at the view's own size, or None, with a warning, when it cannot be used."""
-    try:
-        picture = images.read_rgb(source.picture)
-    except PhotoError as error:
-        reporter.warning(f"{error} It gives no texture.", source.view.name)
-        return None
-    if picture.shape[:2] != (source.view.height, source.view.width):
-        reporter.warning(f"{source.picture.name} has changed its size. It gives no texture.", source.view.name)
-        return None
-    return picture
-
-
-def _behind_something(source: Source, seen: Seen) -> np.ndarray:
-    """Whether each face seen (n,) lies behind what the photo's depth map has there: a branch or a passer-by that is
-    no part of the mesh. All False where the workspace has no depth map that fits."""
-    try:
-        depth, confidence = read_depth(source.workspace, source.view)
-    except WorkspaceError:
-        return np.zeros(len(seen.face), bool)
-    # Without speckles, then widened: the photo at a face's corner counts as much as at its middle.
-    known = cv2.medianBlur(np.where(confidence >= _CONFIDENT, depth, 0).astype(np.float32), 5)
-    reach = max(7, 2 * round(max(depth.shape) / 200) + 1)
-    near = np.asarray(cv2.erode(np.where(known > 0, known, np.float32(np.inf)), np.ones((reach, reach), np.uint8)))
-    column, row = seen.centre.astype(np.int64).T
-    behind: np.ndarray = near[row, column] < (1 - _IN_FRONT) * seen.depth
-    return behind
-
-
-def _gradient(picture: np.ndarray) -> np.ndarray:
-    """Length (H,W) float32 of the brightness' gradient, 0 to 255 a pixel."""
-    grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
-    gx, gy = (cv2.Sobel(grey, cv2.CV_32F, dx, 1 - dx, scale=1 / 8) for dx in (1, 0))
-    return np.asarray(cv2.magnitude(gx, gy))
+def _lay_out(
+    mesh: Mesh, labelling: _Labelling, neighbours: np.ndarray, sources: list[Source], options: TextureOptions
+) -> Layout:
+    """Step 3. Raises TextureError when the charts fit no pages."""
+    views = tuple(source.full for source in sources)
+    layout = lay_out(
+        mesh.vertices, mesh.faces, labelling.label, neighbours, views, options.page_size, options.max_pages
+    )
+    if layout is None:
+        raise TextureError(
+            f"The texture does not fit on {options.max_pages} page(s) of {options.page_size} pixels.",
+            remedy="Choose larger pages or more of them, or build the mesh with fewer faces.",
+        )
+    return layout
 
 
 def _level(
-    mesh: Mesh, sources: list[Source], chosen: _Chosen, nodes: Nodes, options: TextureOptions, reporter: Reporter
+    mesh: Mesh, sources: list[Source], labelling: _Labelling, nodes: Nodes, options: TextureOptions, reporter: Reporter
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Corrections (P,3) at the nodes, and colours (N,3) uint8 of all vertices, as the photos show them."""
+    """Step 4: corrections (P,3) at the nodes, and colours (N,3) uint8 of all vertices, as the photos show them."""
     colour = np.zeros((len(nodes.vertex), 3), np.float32)
     for number, source in enumerate(sources):
         _progress(reporter, (1, 1), number, len(sources))
@@ -259,7 +195,7 @@ def _level(
         picture = images.read_rgb(source.picture) if len(mine) else None
         if picture is not None:
             pixels = project(in_camera(mesh.vertices[nodes.vertex[mine]], source.view), source.view.K)
-            colour[mine] = sample(cv2.GaussianBlur(picture, (3, 3), 0), *pixels.T) * chosen.gains[number]
+            colour[mine] = sample(cv2.GaussianBlur(picture, (3, 3), 0), *pixels.T) * labelling.gains[number]
     correction = level(nodes, colour) if options.level else np.zeros_like(colour)
     count = np.bincount(nodes.vertex, minlength=len(mesh.vertices))
     levelled = np.stack([
@@ -270,18 +206,42 @@ def _level(
 
 
 def _plan(
-    mesh: Mesh, chosen: _Chosen, layout: Layout, nodes: Nodes, correction: np.ndarray, colours: np.ndarray
+    mesh: Mesh, labelling: _Labelling, layout: Layout, nodes: Nodes, correction: np.ndarray, colours: np.ndarray
 ) -> Bake:
     small = triangle_areas(layout.corners) < _SMALL_FACE
-    second, weight, origin = cross_fade(mesh.faces, chosen.label, chosen.usable, small, len(mesh.vertices))
+    second, weight, origin = cross_fade(mesh.faces, labelling.label, labelling.usable, small, len(mesh.vertices))
     return Bake(
-        vertices=mesh.vertices, faces=mesh.faces, label=chosen.label, second=second, weight=weight, origin=origin,
-        layout=layout, nodes=nodes, correction=correction, gains=chosen.gains, colours=colours,
+        vertices=mesh.vertices, faces=mesh.faces, label=labelling.label, second=second, weight=weight, origin=origin,
+        layout=layout, nodes=nodes, correction=correction, gains=labelling.gains, colours=colours,
     )
 
 
-def _write(folder: Path, names: tuple[str, ...], encoded: list[np.ndarray]) -> None:
-    """All pages or none; then pages of an earlier texture that are not among them go."""
+def _encoded_pages(plan: Bake, sources: list[Source], options: TextureOptions, reporter: Reporter) -> list[np.ndarray]:
+    """Step 5: the pages' files (bytes,), as many pages at once as memory allows. Raises TextureError."""
+    layout = plan.layout
+    at_once = int(options.memory_gib * 2**30 // (plan.bytes_per_texel * layout.size**2))
+    if at_once < 1:
+        raise TextureError(
+            f"A page of {layout.size} pixels does not fit into {options.memory_gib:g} GiB of memory.",
+            remedy="Choose smaller pages or a larger memory budget.",
+        )
+    settings = [cv2.IMWRITE_JPEG_QUALITY, 93] if options.jpeg else [cv2.IMWRITE_PNG_COMPRESSION, 3]
+    encoded = []
+    for start in range(0, layout.pages, at_once):
+        numbers = range(start, min(start + at_once, layout.pages))
+        share = _PASSES - 1 + start / layout.pages, len(numbers) / layout.pages
+        for page in bake(plan, sources, numbers, reporter, partial(_progress, reporter, share, total=len(sources))):
+            encoded.append(cv2.imencode(_suffix(options), page[..., ::-1], settings)[1])
+    return encoded
+
+
+def _suffix(options: TextureOptions) -> str:
+    return ".jpg" if options.jpeg else ".png"
+
+
+def _write(folder: Path, encoded: list[np.ndarray], options: TextureOptions) -> tuple[str, ...]:
+    """All pages or none; then pages of an earlier texture that are not among them go. The files' names."""
+    names = tuple(f"texture_{number}{_suffix(options)}" for number in range(len(encoded)))
     with ExitStack() as stack:
         files = [stack.enter_context(atomic_write(folder / name)) for name in names]
         for file, content in zip(files, encoded, strict=True):
@@ -290,3 +250,4 @@ def _write(folder: Path, names: tuple[str, ...], encoded: list[np.ndarray]) -> N
     for old in (*folder.glob("texture_*.png"), *folder.glob("texture_*.jpg")):
         if old.name not in names and old.stem.removeprefix("texture_").isdigit():
             old.unlink(missing_ok=True)
+    return names

@@ -1,0 +1,117 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How well each photo shows each face: size in pixels, angle, sharpness, and what stands in between."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from ..base import images
+from ..base.errors import PhotoError, WorkspaceError
+from ..base.messages import Reporter
+from ..base.sampling import sample
+from ..depth.maps import read_depth
+from ..surface.mesh import Mesh
+from .photo_sources import Source
+from .visibility import Seen, visible_faces
+
+CANDIDATES = 8  # photos kept a face
+UNSEEN = -1
+_RIM = 5 / 800  # of the longest side: nearer than this to the mesh's outline or the picture's edge a photo counts less
+_RIM_LEAST = 0.03
+_GRADIENT_FLOOR = 2.0  # of 255 a pixel: flat plaster is not blurred because it has no edges
+_CONFIDENT, _IN_FRONT = 0.3, 0.03  # a depth that counts, and how far before a face it must be, of its depth
+_BEHIND = 0.02  # of its quality is left to a photo that has something else in front of a face
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """The best photos of each of M faces, in no order, filled in place.
+
+    `view` (M,K) int16, index of a photo or UNSEEN; `quality` (M,K) float32, 0 where there is none; `colour` (M,K,3)
+    uint8, mean sRGB about the face in that photo.
+    """
+
+    view: np.ndarray
+    quality: np.ndarray
+    colour: np.ndarray
+
+    @classmethod
+    def empty(cls, faces: int) -> Candidates:
+        return cls(
+            np.full((faces, CANDIDATES), UNSEEN, np.int16), np.zeros((faces, CANDIDATES), np.float32),
+            np.zeros((faces, CANDIDATES, 3), np.uint8),
+        )
+
+    def add(self, view: int, face: np.ndarray, quality: np.ndarray, colour: np.ndarray) -> None:
+        """Let photo `view` take the place of the poorest candidate of each `face` (n,), where it is better."""
+        slot = self.quality[face].argmin(axis=1)
+        better = quality > self.quality[face, slot]
+        face, slot = face[better], slot[better]
+        self.view[face, slot] = view
+        self.quality[face, slot] = quality[better]
+        self.colour[face, slot] = colour[better]
+
+
+def add_candidates(
+    candidates: Candidates, number: int, source: Source, mesh: Mesh, normals: np.ndarray, reporter: Reporter
+) -> None:
+    """Let photo `number` be a candidate of the faces that it shows. `normals` (M,3) are the smooth ones. A picture that
+    cannot be used gives none, with a warning."""
+    picture = _picture(source, reporter)
+    if picture is None:
+        return
+    view = source.view
+    seen = visible_faces(mesh.vertices, mesh.faces, view)
+    centroids = mesh.vertices[mesh.faces[seen.face]].mean(axis=1)
+    ray = (centroids - view.centre).astype(np.float32)
+    cosine = -np.einsum("nk,nk->n", normals[seen.face], ray) / np.linalg.norm(ray, axis=1)
+    size = max(view.width, view.height)
+    window = 2 * round(size / 400) + 1
+    gradient = cv2.blur(_gradient(picture), (4 * window + 1, 4 * window + 1))
+    sharpness = sample(gradient, *seen.centre.T) + _GRADIENT_FLOOR
+    rim = np.clip(seen.rim / (_RIM * size), _RIM_LEAST, 1)
+    resolution = source.full.K[0, 0] / seen.depth
+    quality = (resolution * np.clip(cosine, 0.05, 1)) ** 2 * np.sqrt(sharpness) * rim
+    quality[_occluded(source, seen)] *= _BEHIND
+    colour = sample(cv2.blur(picture, (window, window)), *seen.centre.T)
+    candidates.add(number, seen.face, quality.astype(np.float32), colour)
+
+
+def _picture(source: Source, reporter: Reporter) -> np.ndarray | None:
+    """The undistorted picture at the view's own size, or None, with a warning, when it cannot be used."""
+    try:
+        picture = images.read_rgb(source.picture)
+    except PhotoError as error:
+        reporter.warning(f"{error} It gives no texture.", source.view.name)
+        return None
+    if picture.shape[:2] != (source.view.height, source.view.width):
+        reporter.warning(f"{source.picture.name} has changed its size. It gives no texture.", source.view.name)
+        return None
+    return picture
+
+
+def _occluded(source: Source, seen: Seen) -> np.ndarray:
+    """Whether each face seen (n,) lies behind what the photo's depth map has there: a branch or a passer-by that is
+    no part of the mesh. All False where the workspace has no depth map that fits."""
+    try:
+        depth, confidence = read_depth(source.workspace, source.view)
+    except WorkspaceError:
+        return np.zeros(len(seen.face), bool)
+    # Without speckles, then widened: the photo at a face's corner counts as much as at its middle.
+    known = cv2.medianBlur(np.where(confidence >= _CONFIDENT, depth, 0).astype(np.float32), 5)
+    reach = max(7, 2 * round(max(depth.shape) / 200) + 1)
+    near = np.asarray(cv2.erode(np.where(known > 0, known, np.float32(np.inf)), np.ones((reach, reach), np.uint8)))
+    column, row = seen.centre.astype(np.int64).T
+    behind: np.ndarray = near[row, column] < (1 - _IN_FRONT) * seen.depth
+    return behind
+
+
+def _gradient(picture: np.ndarray) -> np.ndarray:
+    """Length (H,W) float32 of the brightness' gradient, 0 to 255 a pixel."""
+    grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
+    gx, gy = (cv2.Sobel(grey, cv2.CV_32F, dx, 1 - dx, scale=1 / 8) for dx in (1, 0))
+    return np.asarray(cv2.magnitude(gx, gy))
