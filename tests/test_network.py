@@ -13,7 +13,7 @@ from box_scene import cast, make_view, write_scene
 
 from curecon_blender.core.base.errors import DeviceError
 from curecon_blender.core.base.options import Options
-from curecon_blender.core.depth.estimate import DepthEstimator
+from curecon_blender.core.depth.estimate import DepthEstimator, within_reach
 from curecon_blender.core.depth.tiles import Tile, plan_tiles, visible_region
 from curecon_blender.core.network.config import PAPER
 from curecon_blender.core.network.cost_volume_cpu import CostVolumeInput, fused_cost_volume
@@ -241,3 +241,17 @@ def test_the_fused_cost_volume_is_the_plain_one_with_its_gradients(level: int, v
     assert (results[0][0] == 0).any()  # there are places that no source sees
     for plain, fused in zip(*results, strict=True):
         torch.testing.assert_close(fused, plain, rtol=1e-4, atol=1e-4 * float(plain.detach().abs().max()))
+
+
+def test_an_unsure_pixel_is_not_thrown_far_beyond_what_the_photo_reaches() -> None:
+    depth = np.full((40, 50), 20.0, np.float32)
+    depth[:4, :25], depth[:4, 25:] = 400.0, 60.0
+    confidence = np.full(depth.shape, 0.95, np.float16)
+    confidence[:4, :25] = 0.2  # a guess at the sweep's end
+    matched = np.array([[5, 5, 30, 1], [9, 9, 390, 0]], np.float32)  # the second is another photo's point
+
+    held = within_reach(depth, confidence, matched)
+    assert np.allclose(held[:4, :25], 66) and (held[4:] == 20).all() and (held[:4, 25:] == 60).all()
+    confidence[:4, 25:] = 0.2  # then the photo reaches as far as its point
+    assert np.allclose(within_reach(depth, confidence, matched)[:4], 33)
+    assert (within_reach(depth, np.zeros_like(confidence), matched[1:]) == depth).all()  # nothing to go by

@@ -26,6 +26,8 @@ from .tiles import Tile, kept_part, memory_budget, plan_tiles, visible_region
 
 RELEASE_EVERY = 16  # photos: what lies between the features that are kept would else add up, a few MB a photo
 FEATURE_BYTES = 1 << 30  # of photos' features kept: a photo's neighbours, some dozens
+SURE, UNSURE = 0.9, 0.5  # confidence
+REACH = 1.1  # times the farthest reliable depth: no unsure pixel lies beyond
 
 
 def choose_device(name: str) -> torch.device:
@@ -82,7 +84,7 @@ class DepthEstimator:
             place = np.s_[kept.y0 : kept.y1, kept.x0 : kept.x1]
             inner = np.s_[kept.y0 - tile.y0 : kept.y1 - tile.y0, kept.x0 - tile.x0 : kept.x1 - tile.x0]
             depth[place], confidence[place] = tile_depth[inner], tile_confidence[inner]
-        return depth, confidence
+        return within_reach(depth, confidence, points), confidence
 
     def coarse_hypotheses(self, view: View, sources: list[View]) -> int:
         """How many hypotheses the coarsest level sweeps for a view, the same in all its tiles."""
@@ -140,6 +142,18 @@ class DepthEstimator:
             while len(self._features) > max(1, min(FEATURE_BYTES, self.budget // 4) // size):
                 self._features.popitem(last=False)
         return features
+
+
+def within_reach(depth: np.ndarray, confidence: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """A depth map (H,W) whose unsure pixels are held within REACH times the farthest depth (but for 1 %) of the sure
+    pixels and of the sparse points (P,4) that the photo has matched.
+
+    The sweep goes on far beyond those, for what can be matched there; a pixel that no source sees must not be thrown
+    to its end.
+    """
+    reliable = depth[confidence > SURE], points[points[:, 3] > 0, 2]
+    farthest = max((float(np.percentile(depths, 99)) for depths in reliable if len(depths)), default=np.inf)
+    return np.where(confidence < UNSURE, np.minimum(depth, REACH * farthest), depth).astype(np.float32)
 
 
 def _batch(values: np.ndarray) -> Tensor:
