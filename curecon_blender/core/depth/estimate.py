@@ -107,7 +107,8 @@ class DepthEstimator:
         near, far = (torch.tensor([d], dtype=torch.float32, device=self.device) for d in (view.near, view.far))
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.dtype == torch.bfloat16):
             geometry = Geometry(_batch(K).to(self.device), _batch(poses).to(self.device), near, far,
-                                _batch(np.array([score for _, score in sources])).to(self.device))
+                                _batch(np.array([score for _, score in sources])).to(self.device),
+                                _batch(np.array([region.size for _, region in crops[1:]])).to(self.device))
             outputs = self._network.sweep(features[0], features[1:], geometry, hypotheses)
             colours = self._colours(view, tile)
             t, confidence = self._network.estimate(colours, outputs, self._points(view, tile, points, colours))

@@ -18,7 +18,6 @@ from ..base.files import atomic_write
 from ..base.reading import Expected, read_arrays
 from ..base.records import View
 
-PATTERN = "depth/*.npz"  # all depth maps of a workspace
 _CAMERA = {"K": Expected((3, 3), "f"), "cam_from_world": Expected((3, 4), "f")}
 
 

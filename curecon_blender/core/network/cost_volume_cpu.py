@@ -27,11 +27,13 @@ BAND_BYTES = 4 << 20  # of float32 costs that a thread makes at once: what fits 
 
 @dataclass(frozen=True)
 class CostVolumeInput:
-    """What a cost volume is made of: the reference's features (B,C,h,w), each source's (B,C,hs,ws), the terms of each
-    source's homographies (homographies.homography_terms), the sources' weights (B,N), and inverse depths (B,M,h,w)."""
+    """What a cost volume is made of: the reference's features (B,C,h,w), each source's (B,C,hs,ws), the width and
+    height (B,N,2) of what those show of the source (beyond is padding), the terms of each source's homographies
+    (homographies.homography_terms), the sources' weights (B,N), and inverse depths (B,M,h,w)."""
 
     reference: Tensor
     sources: list[Tensor]
+    extents: Tensor
     terms: list[tuple[Tensor, Tensor]]
     weights: Tensor
     inverse_depth: Tensor
@@ -54,7 +56,8 @@ def fused_cost_volume(
     for i in range(len(scaled)):
         rotated = torch.stack([rotation[i] for rotation, _ in inputs.terms]).float()
         shifted = torch.stack([shift[i, :, 0] for _, shift in inputs.terms]).float()
-        fixed = (rotated, shifted, inputs.inverse_depth[i].float(), inputs.weights[i].float())
+        fixed = (inputs.extents[i].float(), rotated, shifted, inputs.inverse_depth[i].float(),
+                 inputs.weights[i].float())
         own = [source[i] for source in laid]
         if out is not None:
             _fill(out[i].permute(1, 2, 3, 0), _arguments(scaled[i], alpha, strength, fixed, beta is not None, own))
@@ -92,7 +95,7 @@ class _Fused(torch.autograd.Function):
         ctx.save_for_backward(reference, alpha, beta, *sources)
         ctx.fixed, ctx.visibility = fixed, visibility
         h, w = reference.shape[:2]
-        volume = reference.new_empty((fixed[2].shape[0], h, w, groups))
+        volume = reference.new_empty((fixed[3].shape[0], h, w, groups))
         _fill(volume, _arguments(reference, alpha, beta, fixed, visibility, sources))
         return volume
 
@@ -120,15 +123,16 @@ def _arguments(
     sources: tuple[Tensor, ...] | list[Tensor],
 ) -> tuple[Any, ...]:
     """What both kernels begin with: reference (h,w,C), sources (N,P,C) with P their most pixels, sizes (N,2) as
-    (hs, ws), rotated (N,3,h*w), shifted (N,3), inverse depth (M,h,w), weights (N,), alpha, beta, visibility."""
+    (hs, ws), extents (N,2) as (width, height), rotated (N,3,h*w), shifted (N,3), inverse depth (M,h,w), weights (N,),
+    alpha, beta, visibility."""
     sizes = np.array([source.shape[:2] for source in sources], np.int64)
     pixels = int(sizes.prod(axis=1).max())
     together = np.zeros((len(sources), pixels, reference.shape[2]), np.float32)
     for place, source in zip(together, sources, strict=True):
         place[: source.shape[0] * source.shape[1]] = source.detach().reshape(-1, source.shape[2]).numpy()
-    rotated, shifted, inverse_depth, weights = (np.ascontiguousarray(each.numpy()) for each in fixed)
-    return (np.ascontiguousarray(reference.detach().numpy()), together, sizes, rotated, shifted, inverse_depth, weights,
-            np.float32(alpha.item()), np.float32(beta.item()), visibility)
+    extents, rotated, shifted, inverse_depth, weights = (np.ascontiguousarray(each.numpy()) for each in fixed)
+    return (np.ascontiguousarray(reference.detach().numpy()), together, sizes, extents, rotated, shifted, inverse_depth,
+            weights, np.float32(alpha.item()), np.float32(beta.item()), visibility)
 
 
 @compiled
@@ -155,8 +159,8 @@ def _taps(u: Any, v: Any, height: Any, width: Any) -> Any:
 
 @compiled
 def _volume(
-    reference: Any, sources: Any, sizes: Any, rotated: Any, shifted: Any, inverse_depth: Any, weights: Any, alpha: Any,
-    beta: Any, visibility: Any, volume: Any, top: Any, bottom: Any,
+    reference: Any, sources: Any, sizes: Any, extents: Any, rotated: Any, shifted: Any, inverse_depth: Any,
+    weights: Any, alpha: Any, beta: Any, visibility: Any, volume: Any, top: Any, bottom: Any,
 ) -> None:
     """Rows [top, bottom) of the volume (M,h,w,K), to the first rows of `volume`."""
     width, channels = reference.shape[1:]
@@ -174,7 +178,7 @@ def _volume(
             for n in range(sources.shape[0]):
                 u0, v0, z0 = rotated[n, 0, pixel], rotated[n, 1, pixel], rotated[n, 2, pixel]
                 height_n, width_n = sizes[n, 0], sizes[n, 1]
-                bottom_n, right_n = np.float32(height_n) - _HALF, np.float32(width_n) - _HALF
+                right_n, bottom_n = extents[n, 0] - _HALF, extents[n, 1] - _HALF
                 # Where a source sees all the hypotheses, first: a loop of its own runs in vector registers.
                 for m in range(count):
                     nearness = inverse_depth[m, y, x]
@@ -211,12 +215,13 @@ def _volume(
 
 @compiled
 def _gradients(
-    reference: Any, sources: Any, sizes: Any, rotated: Any, shifted: Any, inverse_depth: Any, weights: Any, alpha: Any,
-    beta: Any, visibility: Any, upstream: Any, to_reference: Any, to_sources: Any, to_scalars: Any, top: Any,
-    bottom: Any,
+    reference: Any, sources: Any, sizes: Any, extents: Any, rotated: Any, shifted: Any, inverse_depth: Any,
+    weights: Any, alpha: Any, beta: Any, visibility: Any, upstream: Any, to_reference: Any, to_sources: Any,
+    to_scalars: Any, top: Any, bottom: Any,
 ) -> None:
     """Add what rows [top, bottom) of the volume's gradient (M,h,w,K) mean for the reference, the sources, and alpha and
-    beta (2,)."""
+    beta (2,). One function, though it is long: a voxel's way back needs what its way there has computed, source by
+    source, and calls between the two would cost as much as the sums."""
     width, channels = reference.shape[1:]
     groups = upstream.shape[3]
     each = channels // groups
@@ -246,7 +251,7 @@ def _gradients(
                         u = (rotated[n, 0, pixel] + shifted[n, 0] * nearness) / z - _HALF
                         v = (rotated[n, 1, pixel] + shifted[n, 1] * nearness) / z - _HALF
                         seen[n] = (u > -_HALF and v > -_HALF
-                                   and u < np.float32(sizes[n, 1]) - _HALF and v < np.float32(sizes[n, 0]) - _HALF)
+                                   and u < extents[n, 0] - _HALF and v < extents[n, 1] - _HALF)
                     if not seen[n]:
                         if not visibility:
                             norm += weights[n]

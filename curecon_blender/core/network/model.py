@@ -39,7 +39,8 @@ class Geometry:
     """Where a reference (view 0) and its source views stand, and what is swept.
 
     `K` (B,V,3,3) in pixels; `cam_from_world` (B,V,3,4); `near`, `far` (B,) z-depths in world units; `scores` (B,N)
-    matching scores S_i of Algorithm 1, at least one positive.
+    matching scores S_i of Algorithm 1, at least one positive; `extents` (B,N,2) each source's width and height in
+    pixels: what its features hold to the right of it and below is padding, where it sees nothing.
     """
 
     K: Tensor
@@ -47,6 +48,7 @@ class Geometry:
     near: Tensor
     far: Tensor
     scores: Tensor
+    extents: Tensor
 
 
 @dataclass(frozen=True)
@@ -124,17 +126,20 @@ def first_hypothesis(coarser: LevelOutput | None, count: int, interval: float, r
 
 # ---- cost volume: the learnable cost metric (Eq. 2)
 
-def warp(feature: Tensor, rotated: Tensor, shifted: Tensor, inverse_depth: Tensor) -> tuple[Tensor, Tensor]:
+def warp(
+    feature: Tensor, rotated: Tensor, shifted: Tensor, inverse_depth: Tensor, extent: Tensor
+) -> tuple[Tensor, Tensor]:
     """Source features (B,C,hs,ws) seen from the reference at `inverse_depth` (B,M,h,w): (B,C,M,h,w), and where the
-    source sees it, (B,1,M,h,w) bool. What falls outside the source, or behind it, is zero.
-    """
+    source sees it, (B,1,M,h,w) bool: before it and within its `extent` (B,2), width and height. What falls outside the
+    features, or behind the source, is zero."""
     b, m, h, w = inverse_depth.shape
     homogeneous = rotated.unsqueeze(2) + shifted.unsqueeze(2) * inverse_depth.reshape(b, 1, m, h * w)
     z = homogeneous[:, 2]
     size = torch.tensor([feature.shape[3], feature.shape[2]], dtype=z.dtype, device=z.device)
     grid = homogeneous[:, :2] / z.clamp_min(1e-6).unsqueeze(1) * (2.0 / size).view(1, 2, 1, 1) - 1.0
     grid = torch.where(z.unsqueeze(1) > 1e-6, grid, 2.0).clamp(-2.0, 2.0)
-    seen = (grid.abs() < 1).all(1).view(b, 1, m, h, w)
+    end = (extent * (2.0 / size) - 1.0).view(b, 2, 1, 1)
+    seen = ((grid > -1) & (grid < end)).all(1).view(b, 1, m, h, w)
     grid = grid.permute(0, 2, 3, 1).reshape(b, m * h, w, 2)
     warped = F.grid_sample(feature, grid, mode="bilinear", padding_mode="zeros", align_corners=False)
     return warped.reshape(b, -1, m, h, w), seen
@@ -151,7 +156,7 @@ def plain_cost_volume(inputs: CostVolumeInput, groups: int, alpha: Tensor, beta:
     scaled = (inputs.reference * (groups / c)).unsqueeze(2)  # the mean over a group's channels becomes a sum
     total = norm = torch.zeros((), device=scaled.device)
     for i, (source, (rotated, shifted)) in enumerate(zip(inputs.sources, inputs.terms, strict=True)):
-        warped, seen = warp(source, rotated, shifted, inputs.inverse_depth)
+        warped, seen = warp(source, rotated, shifted, inputs.inverse_depth, inputs.extents[:, i])
         product = (warped * scaled).reshape(b, groups, c // groups, *inputs.inverse_depth.shape[1:])
         similarity = product.sum(2) if c > groups else product[:, :, 0]
         weight = inputs.weights[:, i].view(-1, 1, 1, 1, 1)
@@ -255,7 +260,8 @@ class LCMMVSNet(nn.Module):
         pyramid = self.pyramid(images.flatten(0, 1))
         views = [tuple(level.unflatten(0, (b, v))[:, i] for level in pyramid) for i in range(v)]
         count = self.coarse_hypotheses(K, cam_from_world, near, far, (images.shape[4], images.shape[3]))
-        return self.sweep(views[0], views[1:], Geometry(K, cam_from_world, near, far, scores), count)
+        extents = K.new_tensor([images.shape[4], images.shape[3]]).expand(b, v - 1, 2)
+        return self.sweep(views[0], views[1:], Geometry(K, cam_from_world, near, far, scores, extents), count)
 
     def pyramid(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Features of (B,3,H,W) colours in [0, 1], by level 0, 1, 2."""
@@ -311,7 +317,8 @@ class LCMMVSNet(nn.Module):
         if self.config.cosine:
             matched = [unit_length(features) for features in matched]
         weights = geometry.scores / geometry.scores.sum(1, keepdim=True)
-        inputs = CostVolumeInput(matched[0], matched[1:], terms, weights, inverse_depth)
+        extents = geometry.extents * 0.5**level
+        inputs = CostVolumeInput(matched[0], matched[1:], extents, terms, weights, inverse_depth)
         context = (self.context[level](reference) if self.config.context else reference[:, :0]).unsqueeze(2)
         if torch.is_grad_enabled():
             repeated = context.expand(-1, -1, inverse_depth.shape[1], -1, -1)
