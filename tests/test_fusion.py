@@ -17,7 +17,7 @@ from curecon_blender.core.base.errors import Cancelled, CuReconError, WorkspaceE
 from curecon_blender.core.base.messages import Progress, Reporter
 from curecon_blender.core.base.options import Options
 from curecon_blender.core.base.records import Component, View
-from curecon_blender.core.cloud.fuse import NoPointsError, fuse
+from curecon_blender.core.cloud.fuse import NoPointsError, fuse, peak_bytes, plan
 from curecon_blender.core.cloud.ply import Cloud, read_cloud
 
 
@@ -216,25 +216,44 @@ def test_the_same_cloud_each_time_in_any_order(tmp_path: Path) -> None:
     assert (tmp_path / "cloud.ply").read_bytes() == first
 
 
-def test_memory_does_not_grow_with_the_number_of_photos(tmp_path: Path) -> None:
-    def peak(workspace: Path, component: Component, cache_bytes: int) -> int:
+def test_any_memory_budget_gives_the_same_cloud(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In one band, in bands of a few rows, and of one row, which is less than a normal's neighbourhood."""
+    component = write_scene(tmp_path, ring(5))
+    run(component, tmp_path)
+    whole = (tmp_path / "cloud.ply").read_bytes()
+    for rows in (7, 1):
+        monkeypatch.setattr("curecon_blender.core.cloud.fuse.LEAST_BAND", rows * component.views[0].width)
+        run(component, tmp_path, memory_gib=1e-3)
+        assert (tmp_path / "cloud.ply").read_bytes() == whole
+
+
+def test_memory_is_that_of_the_budget_not_of_the_photos(tmp_path: Path) -> None:
+    def peak(workspace: Path, component: Component, memory_gib: float) -> int:
         tracemalloc.start()
         try:
-            fuse(component, workspace, Options(photos=workspace, workspace=workspace), Reporter(),
-                 cache_bytes=cache_bytes)
+            run(component, workspace, memory_gib=memory_gib)
             return tracemalloc.get_traced_memory()[1]
         finally:
             tracemalloc.stop()
 
-    def least_peak(count: int, cache_bytes: int) -> int:
+    def least_peak(count: int, memory_gib: float) -> int:
         """Of two runs: the interpreter's table of interned names may double within one of them, by 2 MB."""
-        workspace = tmp_path / f"{count} {cache_bytes}"
+        workspace = tmp_path / f"{count} {memory_gib}"
         component = write_scene(workspace, ring(count, arc=60.0))
-        return min(peak(workspace, component, cache_bytes) for _ in range(2))
+        return min(peak(workspace, component, memory_gib) for _ in range(2))
 
-    few, many, unbounded = least_peak(8, 1 << 20), least_peak(24, 1 << 20), least_peak(24, 1 << 30)
+    few, many, roomy = least_peak(8, 1e-3), least_peak(24, 1e-3), least_peak(24, 1.0)
     assert many < 1.15 * few
-    assert unbounded > 1.5 * many  # the measure sees the cache
+    assert roomy > 1.5 * many  # the measure sees what is kept
+
+
+def test_photos_of_48_megapixels_keep_to_the_budget() -> None:
+    photos = [8064 * 6048] * 30
+    for gib in (3, 6, 12):
+        budget = gib << 30
+        assert budget / 3 < peak_bytes(photos, budget) <= budget
+        assert plan(photos, budget).band > plan(photos, budget // 2).band or plan(photos, budget).band == photos[0]
+    assert peak_bytes(photos, 0) < 2.5 * 2**30  # the least there is
 
 
 def test_odd_names(tmp_path: Path) -> None:
@@ -245,18 +264,30 @@ def test_odd_names(tmp_path: Path) -> None:
     assert len(run(write_scene(tmp_path, views), tmp_path)) > 3000
 
 
-def test_progress_counts_photos_and_cancel_keeps_the_earlier_cloud(tmp_path: Path) -> None:
+def test_progress_moves_within_a_photo_and_cancel_there_keeps_the_earlier_cloud(tmp_path: Path) -> None:
     component = write_scene(tmp_path, ring(4))
     messages: list[object] = []
     run(component, tmp_path, Reporter(messages.append))
-    done = [m.done for m in messages if isinstance(m, Progress)]
-    assert done == [0, 1, 2, 3, 4]
+    told = [m.done for m in messages if isinstance(m, Progress)]
+    assert all(m.total == 100 for m in messages if isinstance(m, Progress))
+    assert told[0] == 0 and told[-1] == 100 and told == sorted(told)
+    assert sum(25 < done < 50 for done in told) >= 2  # of the second of four photos
     before = sorted((p.name, p.stat().st_size) for p in tmp_path.iterdir())
-    seen: list[object] = []
-    reporter = Reporter(seen.append, cancelled=lambda: sum(isinstance(m, Progress) for m in seen) >= 2)
-    with pytest.raises(Cancelled):
-        run(component, tmp_path, reporter)
-    assert sorted((p.name, p.stat().st_size) for p in tmp_path.iterdir()) == before
+    for photo in range(4):
+        seen: list[int] = []
+        asked = 0
+
+        def cancelled(photo: int = photo, seen: list[int] = seen) -> bool:
+            """From the second question on after the photo began: between two messages."""
+            nonlocal asked
+            asked += bool(seen) and seen[-1] >= 25 * photo
+            return asked > 2
+
+        reporter = Reporter(lambda m, seen=seen: seen.append(m.done) if isinstance(m, Progress) else None, cancelled)
+        with pytest.raises(Cancelled):
+            run(component, tmp_path, reporter)
+        assert seen[-1] < 25 * photo + 25
+        assert sorted((p.name, p.stat().st_size) for p in tmp_path.iterdir()) == before
 
 
 @pytest.mark.parametrize("damage", ["missing depth", "cut depth", "flipped bytes", "text", "other camera", "other size",

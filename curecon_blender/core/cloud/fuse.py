@@ -16,41 +16,38 @@ does: three photos that all agree are enough for a point. Unless N_c is given, s
 no photo looks through the point: what a site's few photos see from one side only, such as an outer wall, is otherwise
 lost. On the sample site that adds 5 % to the recall and costs no precision.
 
-Memory holds one reference, one block of its pixels, and a cache of other photos that is bounded in bytes; the depths
-accepted wait on disk (4 bytes a pixel until the end).
+A reference is fused in bands of rows, and the depth maps of other photos wait in a cache: both are as large as the
+memory budget allows, and the cloud is the same for any. The depths accepted wait on disk (4 bytes a pixel until the
+end).
 """
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 
-from ..base import images
-from ..base.errors import CuReconError, PhotoError, WorkspaceError
+from ..base import memory
+from ..base.errors import CuReconError
 from ..base.files import disk_errors, scratch_folder
 from ..base.messages import Reporter
 from ..base.options import Options
 from ..base.records import Component, View
-from ..base.sampling import ROW, sample
-from ..depth.maps import read_depth
+from .agreement import BLOCK, Pixels, Sums, are_duplicates, confirm, meet
+from .depth_maps import BYTES_PER_PIXEL, DepthMap, DepthMaps, finest_first
+from .normals import RADIUS, normals
 from .ply import Cloud, CloudWriter
-from .sky import sky_mask
 
-CACHE_BYTES = 512 << 20
-_BLOCK = 256 * ROW  # pixels worked on at once: small enough for the processor's cache
-_SPARSE = 64  # one pixel in so many tells whether two pictures have anything in common
+_SPARSE = 16  # one pixel in so many, along rows and columns, tells whether two pictures have anything in common
 _VIEWS = 3  # N_c, as in the paper
-_THROUGH = 2.0  # times the limit of depth difference: a photo that sees farther than that looks through a point
 _SURE = 0.9  # confidence: 97 % of the pixels with more are right within one depth interval
-_LEAST_WEIGHT = 1e-6  # confidence 0 still counts as a view, and must not divide by zero
-_DUPLICATE = 2.0  # times the confirming limits: a point nearer than this to an accepted one is the same point, noisier
-_SAME_SURFACE = 0.02  # relative depth difference up to which a neighbouring pixel counts for the normal
-_NORMAL_RADIUS = 2  # pixels
+# Peak memory, measured (benchmarks/scale.py): fixed; for each pixel of the largest depth map, besides what is kept of
+# it, while one is read and its sky is found; and for each pixel of a band.
+BASE_BYTES, READING_BYTES, BAND_BYTES = 300 << 20, 14, 50
+MOST_CACHE = 2 << 30  # bytes: the dozen neighbours of a photo of 20 megapixels; of larger ones, reading is a small part
+LEAST_BAND = 1 << 20  # pixels: smaller bands would read the neighbours again and again
 
 
 class NoPointsError(CuReconError):
@@ -61,26 +58,37 @@ class NoPointsError(CuReconError):
 
 
 @dataclass(frozen=True)
-class _DepthMap:
-    """A photo ready for lookups. `inverse_depth` (H,W) float32, NaN = none; `confidence` (H,W) float32;
-    `colours` (H,W,3) uint8 RGB. Inverse depth, because it is linear over the pixels of a plane and depth is not."""
+class Plan:
+    """How a memory budget is used: pixels of a band, and bytes of depth maps that are kept."""
 
-    inverse_depth: np.ndarray
-    confidence: np.ndarray
-    colours: np.ndarray
-
-    @property
-    def nbytes(self) -> int:
-        return self.inverse_depth.nbytes + self.confidence.nbytes + self.colours.nbytes
+    band: int
+    cache: int
 
 
-def fuse(
-    component: Component, workspace: Path, options: Options, reporter: Reporter, *, cache_bytes: int = CACHE_BYTES
-) -> int:
+def plan(pixels: Iterable[int], budget: int) -> Plan:
+    """For views of so many pixels: half of what one reference and one neighbour leave is for a band, the rest for
+    more neighbours. A budget that is too small for one neighbour and LEAST_BAND is exceeded."""
+    sizes = list(pixels)
+    largest = max(sizes)
+    left = budget - BASE_BYTES - largest * (2 * BYTES_PER_PIXEL + READING_BYTES)
+    band = min(max(left // 2 // BAND_BYTES, LEAST_BAND), largest)
+    more = min(left - band * BAND_BYTES, MOST_CACHE, sum(sizes) * BYTES_PER_PIXEL)
+    return Plan(band, largest * BYTES_PER_PIXEL + max(more, 0))
+
+
+def peak_bytes(pixels: Iterable[int], budget: int) -> int:
+    """Memory that fusion takes of views of so many pixels, with the budget given."""
+    sizes = list(pixels)
+    planned = plan(sizes, budget)
+    kept = min(planned.cache, sum(sizes) * BYTES_PER_PIXEL)
+    return BASE_BYTES + max(sizes) * (BYTES_PER_PIXEL + READING_BYTES) + kept + planned.band * BAND_BYTES
+
+
+def fuse(component: Component, workspace: Path, options: Options, reporter: Reporter) -> int:
     """Fuse the depth maps of `component` into its cloud (PLY, site frame, site units); returns the number of points.
 
     Reads `depth/NAME.npz` and the undistorted pictures of the workspace, all of the size that their View gives.
-    Progress counts photos. Confidence of a point: the mean over the views that agree on it. Raises WorkspaceError
+    Progress is in percent. Confidence of a point: the mean over the views that agree on it. Raises WorkspaceError
     for a depth map or picture that is missing, damaged or of another camera, and NoPointsError when too few views
     agree anywhere; a cloud from an earlier run is then left as it was.
     """
@@ -88,22 +96,26 @@ def fuse(
     if len(component.views) < min_views:
         min_views = len(component.views)
         reporter.warning(f"Only {min_views} photos hang together here: points need no more than their agreement.")
-    order = _finest_first(component.views, workspace, reporter)
+    planned = plan((view.width * view.height for view in component.views), memory.budget(options))
+    order = finest_first(component.views, workspace, reporter)
     neighbours = _neighbours(component.views)
-    depth_maps = _Cache(workspace, cache_bytes, z_up=component.frame.up != "given")
     with scratch_folder(workspace / "fusion") as folder, CloudWriter(workspace / component.cloud) as writer:
-        fused: dict[str, tuple[View, Path]] = {}  # views done, with the file of what they accepted
-        for done, view in enumerate(order):
-            reporter.progress(done, len(order))
-            near = {v.name: v for v in neighbours[view.name]}
-            # Neighbours first: they know most duplicates, so that little is left to ask of the others.
-            before = sorted(fused.values(), key=lambda pair: pair[0].name not in near)
-            cloud, accepted = _fuse_one(view, before, list(near.values()), depth_maps, options, min_views)
-            writer.write(cloud)
-            fused[view.name] = view, folder / f"{done}.npy"
-            with disk_errors(folder):
-                np.save(folder / f"{done}.npy", accepted)
-        reporter.progress(len(order), len(order))
+        depth_maps = DepthMaps(workspace, planned.cache, folder, z_up=component.frame.up != "given")
+        job = _Job(depth_maps, writer, options, min_views, reporter)
+        fused: list[tuple[View, Path]] = []  # views done, with the file of what they accepted
+        for number, view in enumerate(order):
+            near, file = neighbours[view.name], folder / f"{number}.accepted"
+            reporter.progress(100 * number // len(order), 100)
+            depth_map = depth_maps[view]
+            reference = _Reference(view, depth_map, near, _known_before(view, depth_map, near, fused), file)
+            rows = max(1, planned.band // view.width)
+            for top in range(0, view.height, rows):
+                bottom = min(top + rows, view.height)
+                for share in _fuse_band(reference, top, bottom, job):
+                    done = number + (top + share * (bottom - top)) / view.height
+                    reporter.progress(int(100 * done / len(order)), 100)
+            fused.append((view, file))
+        reporter.progress(100, 100)
         if writer.count == 0:
             raise NoPointsError(
                 f"Too few views agree: none of the {len(order)} photos' depth has a point that {min_views} of them see "
@@ -115,234 +127,141 @@ def fuse(
     return writer.count
 
 
-def _fuse_one(
-    view: View, before: list[tuple[View, Path]], near: list[View], depth_maps: _Cache, options: Options, min_views: int
-) -> tuple[Cloud, np.ndarray]:
-    """The new points of one reference, and its inverse depth (H,W) float32 where it accepts one, elsewhere NaN."""
-    reference = depth_maps[view]
-    inverse_depth = reference.inverse_depth.ravel()
-    candidates = np.flatnonzero((reference.confidence.ravel() >= options.min_confidence) & ~np.isnan(inverse_depth))
-    fresh = candidates
-    for other, file in before:
-        fresh = fresh[~_is_duplicate(view, inverse_depth[fresh], fresh, other, file, options)]
-    sums = _Sums.of(reference, fresh)
-    for other in near:
-        _confirm(view, inverse_depth[fresh], fresh, other, depth_maps[other], sums, options)
+@dataclass(frozen=True)
+class _Job:
+    """What all references of a component are fused with."""
 
-    means = sums.points / sums.weight
-    depth = np.full(view.height * view.width, np.nan, np.float32)
-    depth[candidates] = 1 / inverse_depth[candidates]
-    depth[fresh] = means[2]
-    keep = sums.views >= min_views
-    if options.min_views is None:
-        keep |= (sums.views >= 2) & (sums.weight >= _SURE * sums.views) & ~sums.seen_through
-    index, weight, views = fresh[keep], sums.weight[keep], sums.views[keep]
-    accepted = inverse_depth.copy()
-    accepted[fresh[~keep]] = np.nan
-    accepted[reference.confidence.ravel() < options.min_confidence] = np.nan
-
-    rotation, translation = view.cam_from_world[:, :3], view.cam_from_world[:, 3]
-    in_camera = np.linalg.inv(view.K) @ means[:, keep]
-    normals = rotation.T @ _normals(depth.reshape(view.height, view.width), view.K, index)
-    return Cloud(
-        points=(rotation.T @ (in_camera - translation[:, None])).T.astype(np.float32),
-        colours=np.rint(sums.colours[:, keep] / weight).T.astype(np.uint8),
-        normals=normals.T.astype(np.float32),
-        confidence=np.minimum(weight / views, 1).astype(np.float32),
-        views=np.minimum(views, 255).astype(np.uint8),
-    ), accepted.reshape(view.height, view.width)
+    depth_maps: DepthMaps
+    writer: CloudWriter
+    options: Options
+    min_views: int
+    reporter: Reporter
 
 
 @dataclass(frozen=True)
-class _Sums:
-    """What the views that agree on each of n reference pixels add up to, filled in place.
+class _Reference:
+    """A view to fuse: its neighbours, the views fused before that may know its points, with the files of what they
+    accepted, and the file that takes what it accepts: inverse depth (H,W) float32, NaN = none."""
 
-    `points` (3,n) float32 confidence-weighted sums of (u z, v z, z) in the reference camera, u and v in pixels;
-    `colours` (3,n) float32 and `weight` (n,) float32 likewise; `views` (n,) uint16 how many agree, the reference
-    included; `seen_through` (n,) bool, whether any sees something farther there.
+    view: View
+    depth_map: DepthMap
+    near: list[View]
+    before: list[tuple[View, Path]]
+    accepted: Path
+
+    def pixels(self, top: int, bottom: int, least: float) -> tuple[Pixels, np.ndarray]:
+        """The pixels of some rows that have depth of at least such a confidence; and which they are, (n,) bool."""
+        flat = slice(top * self.view.width, bottom * self.view.width)
+        inverse_depth = self.depth_map.inverse_depth.ravel()
+        found = self.depth_map.confidence.ravel()[flat].astype(np.float32) >= least
+        found &= ~np.isnan(inverse_depth[flat])
+        index = np.flatnonzero(found)
+        index += flat.start
+        return Pixels(self.view, index, inverse_depth[index]), found
+
+
+def _known_before(
+    view: View, depth_map: DepthMap, near: list[View], fused: list[tuple[View, Path]]
+) -> list[tuple[View, Path]]:
+    """Those of the views fused that overlap a view, neighbours first: they know most duplicates, so that little is
+    left to ask of the others."""
+    row, column = np.mgrid[: view.height : _SPARSE, : view.width : _SPARSE]
+    index = (row * view.width + column).ravel()
+    inverse_depth = depth_map.inverse_depth.ravel()[index]
+    with_depth = ~np.isnan(inverse_depth)
+    few = Pixels(view, index[with_depth], inverse_depth[with_depth])
+    names = {other.name for other in near}
+    return ([pair for pair in fused if pair[0].name in names]
+            + [pair for pair in fused if pair[0].name not in names and meet(few, pair[0])])
+
+
+def _fuse_band(reference: _Reference, top: int, bottom: int, job: _Job) -> Iterator[float]:
+    """Write the new points of some rows of a reference; yields, now and then, the share that is done."""
+    view, options, reporter = reference.view, job.options, job.reporter
+    # With the rows around them, which normals are made of.
+    first, last = max(top - RADIUS, 0), min(bottom + RADIUS, view.height)
+    fresh, candidates = reference.pixels(first, last, options.min_confidence)
+    for other, known in reference.before:
+        accepted = np.memmap(known, np.float32, "r", shape=(other.height, other.width))
+        fresh = fresh[~are_duplicates(fresh, other, accepted, options, reporter)]
+    sums = Sums.of(fresh, reference.depth_map, reporter)
+    for number, other in enumerate(reference.near):
+        yield number / len(reference.near)
+        confirm(fresh, other, job.depth_maps[other], sums, options, reporter)
+    keep = sums.views >= job.min_views
+    if options.min_views is None:
+        keep |= (sums.views >= 2) & (sums.weight >= _SURE * sums.views) & ~sums.seen_through
+    band = _Band(reference, first, last, candidates, fresh, sums, keep)
+    strip = max(1, BLOCK // view.width)
+    with disk_errors(reference.accepted), open(reference.accepted, "ab") as file:
+        for start in range(top, bottom, strip):
+            reporter.check_cancelled()
+            stop = min(start + strip, bottom)
+            job.writer.write(band.cloud(start, stop))
+            file.write(band.accepted(start, stop).data)
+
+
+@dataclass(frozen=True)
+class _Band:
+    """Rows `first` to `last` of a reference with what its neighbours say of them.
+
+    `candidates` (n,) bool: which of their pixels have depth that is sure enough. Of the m of these that no view before
+    accepted (`fresh`), `sums` and whether to `keep` them (m,) bool.
     """
 
-    points: np.ndarray
-    colours: np.ndarray
-    weight: np.ndarray
-    views: np.ndarray
-    seen_through: np.ndarray
+    reference: _Reference
+    first: int
+    last: int
+    candidates: np.ndarray
+    fresh: Pixels
+    sums: Sums
+    keep: np.ndarray
 
-    @classmethod
-    def of(cls, reference: _DepthMap, index: np.ndarray) -> _Sums:
-        """The reference's own share, at flat pixels `index`."""
-        weight = np.maximum(reference.confidence.ravel()[index], _LEAST_WEIGHT)
-        u, v = _pixel_centres(index, reference.confidence.shape[1])
-        points = np.stack([u, v, np.ones_like(u)]) * (weight / reference.inverse_depth.ravel()[index])
-        colours = reference.colours.reshape(-1, 3)[index].T * weight
-        return cls(points, colours, weight, np.ones(len(index), np.uint16), np.zeros(len(index), bool))
-
-
-def _is_duplicate(
-    view: View, inverse_depth: np.ndarray, index: np.ndarray, other: View, file: Path, options: Options
-) -> np.ndarray:
-    """Whether each of n pixels (flat `index`, `inverse_depth`) is a point that `other` accepted before; (n,) bool."""
-    duplicate = np.zeros(len(index), bool)
-    sparse = slice(None, None, _SPARSE)
-    if not len(_project(view, inverse_depth[sparse], index[sparse], other)[0]):
-        return duplicate
-    accepted = np.load(file, mmap_mode="r")
-    for block in _blocks(len(index)):
-        seen, u, v = _project(view, inverse_depth[block], index[block], other)
-        found = _sample_inverse_depth(accepted, u, v, options.max_depth_difference)
-        error = _disagreement(view, inverse_depth[block][seen], index[block][seen], other, u, v, found, options)[0]
-        duplicate[block.start + seen] = error < _DUPLICATE
-    return duplicate
-
-
-def _confirm(
-    view: View, inverse_depth: np.ndarray, index: np.ndarray, other: View, depth_map: _DepthMap, sums: _Sums,
-    options: Options,
-) -> None:
-    """Add to the sums of n pixels (flat `index`, `inverse_depth`) what `other` has where it agrees."""
-    for block in _blocks(len(index)):
-        seen, u, v = _project(view, inverse_depth[block], index[block], other)
-        found = _sample_inverse_depth(depth_map.inverse_depth, u, v, options.max_depth_difference)
-        error, points = _disagreement(
-            view, inverse_depth[block][seen], index[block][seen], other, u, v, found, options
+    def cloud(self, top: int, bottom: int) -> Cloud:
+        """The points of rows that are RADIUS or more away from those without a neighbour in the band."""
+        view, sums = self.reference.view, self.sums
+        kept = self._fresh_in(top, bottom)
+        kept = kept[self.keep[kept]]
+        weight, views = sums.weight[kept], sums.views[kept]
+        rotation, translation = view.cam_from_world[:, :3], view.cam_from_world[:, 3]
+        in_camera = np.linalg.inv(view.K) @ (sums.points[:, kept] / weight)
+        above = max(top - RADIUS, self.first)
+        depth = self._depth(above, min(bottom + RADIUS, self.last))
+        return Cloud(
+            points=(rotation.T @ (in_camera - translation[:, None])).T.astype(np.float32),
+            colours=np.rint(sums.colours[:, kept] / weight).T.astype(np.uint8),
+            normals=(rotation.T @ normals(depth, above, view.K, self.fresh.index[kept])).T.astype(np.float32),
+            confidence=np.minimum(weight / views, 1).astype(np.float32),
+            views=np.minimum(views, 255).astype(np.uint8),
         )
-        farther = _depth_in(view, inverse_depth[block][seen], index[block][seen], other) * found < (
-            1 - _THROUGH * options.max_depth_difference)
-        sure = sample(depth_map.confidence, u[farther], v[farther], cv2.INTER_NEAREST) >= options.min_confidence
-        sums.seen_through[block.start + seen[farther][sure]] = True
-        agrees = error < 1
-        which, u, v = block.start + seen[agrees], u[agrees], v[agrees]
-        weight = np.maximum(sample(depth_map.confidence, u, v, cv2.INTER_NEAREST), _LEAST_WEIGHT)
-        sums.points[:, which] += points[:, agrees] * weight
-        sums.colours[:, which] += sample(depth_map.colours, u, v, cv2.INTER_LINEAR).T * weight
-        sums.weight[which] += weight
-        sums.views[which] += 1
 
+    def accepted(self, top: int, bottom: int) -> np.ndarray:
+        """Inverse depth (h,W) float32 of rows where it is accepted, elsewhere NaN."""
+        rejected = self._fresh_in(top, bottom)
+        rejected = rejected[~self.keep[rejected]]
+        width = self.reference.view.width
+        inverse_depth = self._candidates(top, bottom)
+        inverse_depth[self.fresh.index[rejected] - top * width] = np.nan
+        return inverse_depth.reshape(-1, width)
 
-def _blocks(count: int) -> Iterator[slice]:
-    for start in range(0, count, _BLOCK):
-        yield slice(start, min(start + _BLOCK, count))
+    def _depth(self, top: int, bottom: int) -> np.ndarray:
+        """Depth (h,W) float32 of rows, NaN = none: the mean of the views that agree, where they were asked."""
+        fresh = self._fresh_in(top, bottom)
+        width = self.reference.view.width
+        depth = 1 / self._candidates(top, bottom)
+        depth[self.fresh.index[fresh] - top * width] = self.sums.points[2, fresh] / self.sums.weight[fresh]
+        return depth.reshape(-1, width)
 
+    def _candidates(self, top: int, bottom: int) -> np.ndarray:
+        """Inverse depth of the candidates among the pixels of rows, elsewhere NaN; flat."""
+        width = self.reference.view.width
+        rows = self.candidates[(top - self.first) * width : (bottom - self.first) * width]
+        return np.where(rows, self.reference.depth_map.inverse_depth[top:bottom].ravel(), np.float32(np.nan))
 
-def _pixel_centres(index: np.ndarray, width: int) -> tuple[np.ndarray, np.ndarray]:
-    row, column = np.divmod(index, width)
-    return (column + 0.5).astype(np.float32), (row + 0.5).astype(np.float32)
-
-
-def _project(
-    view: View, inverse_depth: np.ndarray, index: np.ndarray, other: View
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Which of n pixels fall into the picture of `other`, as positions in the list (m,), and where: u, v (m,)."""
-    matrix, offset = _transfer(view, other)
-    u, v = _pixel_centres(index, view.width)
-    x, y, z = (a * u + b * v + c + d * inverse_depth for (a, b, c), d in zip(matrix, offset, strict=True))
-    in_front = np.flatnonzero(z > 0)
-    u, v = x[in_front] / z[in_front], y[in_front] / z[in_front]
-    inside = (u > 0) & (u < other.width) & (v > 0) & (v < other.height)
-    return in_front[inside], u[inside], v[inside]
-
-
-def _depth_in(view: View, inverse_depth: np.ndarray, index: np.ndarray, other: View) -> np.ndarray:
-    """z-depth (m,) that the points of m pixels have in `other`."""
-    matrix, offset = _transfer(view, other)
-    u, v = _pixel_centres(index, view.width)
-    depth: np.ndarray = (matrix[2, 0] * u + matrix[2, 1] * v + matrix[2, 2]) / inverse_depth + offset[2]
-    return depth
-
-
-def _disagreement(
-    view: View, inverse_depth: np.ndarray, index: np.ndarray, other: View, other_u: np.ndarray, other_v: np.ndarray,
-    found: np.ndarray, options: Options,
-) -> tuple[np.ndarray, np.ndarray]:
-    """How far the surface that `other` has is from each of m pixels, by the larger of reprojection error and relative
-    depth difference, in units of their limits (NaN: none there); and its points (3,m) as (u z, v z, z) in `view`."""
-    matrix, offset = _transfer(other, view)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        points = np.stack([(a * other_u + b * other_v + c) / found + d
-                           for (a, b, c), d in zip(matrix, offset, strict=True)])
-        u, v = _pixel_centres(index, view.width)
-        reprojection = np.hypot(points[0] / points[2] - u, points[1] / points[2] - v)
-        difference = np.abs(points[2] * inverse_depth - 1)
-    error = np.maximum(reprojection / np.float32(options.max_reprojection_error),
-                       difference / np.float32(options.max_depth_difference))
-    return error, points
-
-
-def _transfer(view: View, other: View) -> tuple[np.ndarray, np.ndarray]:
-    """(M, m) float32 with (u' z', v' z', z') = z M (u, v, 1) + m, from pixels of `view` to those of `other`.
-
-    Going from camera to camera, never through the world, float32 stays exact far from the world's origin.
-    """
-    rotation = other.cam_from_world[:, :3] @ view.cam_from_world[:, :3].T
-    translation = other.cam_from_world[:, 3] - rotation @ view.cam_from_world[:, 3]
-    matrix = other.K @ rotation @ np.linalg.inv(view.K)
-    return matrix.astype(np.float32), (other.K @ translation).astype(np.float32)
-
-
-def _sample_inverse_depth(image: np.ndarray, u: np.ndarray, v: np.ndarray, max_difference: float) -> np.ndarray:
-    """Bilinear on a surface; the nearest pixel's at its rim (NaN next door) and where depth jumps between pixels."""
-    nearest = sample(image, u, v, cv2.INTER_NEAREST)
-    bilinear = sample(image, u, v, cv2.INTER_LINEAR)
-    smooth = np.abs(bilinear - nearest) < 0.5 * max_difference * nearest
-    return np.where(smooth, bilinear, nearest)
-
-
-def _normals(depth: np.ndarray, K: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Unit normals (3,n) in the camera frame, facing the camera, at rising flat pixels `index` of `depth` (H,W),
-    NaN = none.
-
-    The plane n X = 1 has inverse depth n K^-1 (u, v, 1): its slopes over u and v are those of inverse depth.
-    """
-    height, width = depth.shape
-    inverse = np.pad(1 / depth, _NORMAL_RADIUS, constant_values=np.nan)
-    slopes = np.empty((2, len(index)))
-    band = max(1, _BLOCK // width)
-    for top in range(0, height, band):
-        rows = min(band, height - top)
-        inside = slice(*np.searchsorted(index, (top * width, (top + rows) * width)))
-        slopes[:, inside] = _slopes(inverse[top : top + rows + 2 * _NORMAL_RADIUS]).reshape(2, -1)[
-            :, index[inside] - top * width
-        ]
-    row, column = np.divmod(index, width)
-    constant = 1 / depth.ravel()[index] - slopes[0] * (column + 0.5) - slopes[1] * (row + 0.5)
-    normals = -(K.T @ np.stack([*slopes, constant]))  # n X = 1 > 0 on the ray, so its negative faces the camera
-    unit: np.ndarray = normals / np.linalg.norm(normals, axis=0)
-    return unit
-
-
-def _slopes(inverse: np.ndarray) -> np.ndarray:
-    """Slopes (2,H,W) over u and v of inverse depth (H,W and a rim of the radius; NaN = none), by least squares over
-    the neighbours on the same surface. A pixel with too few of them is taken to face the image plane."""
-    radius = _NORMAL_RADIUS
-    height, width = inverse.shape[0] - 2 * radius, inverse.shape[1] - 2 * radius
-    centre = inverse[radius:-radius, radius:-radius]
-    limit = _SAME_SURFACE * centre
-    uu, uv, vv, uq, vq = np.zeros((5, height, width), np.float32)
-    for dv in range(-radius, radius + 1):
-        for du in range(-radius, radius + 1):
-            step = inverse[radius + dv : radius + dv + height, radius + du : radius + du + width] - centre
-            near = np.abs(step) < limit
-            step[~near] = 0
-            uu += du * du * near
-            uv += du * dv * near
-            vv += dv * dv * near
-            uq += du * step
-            vq += dv * step
-    determinant = uu * vv - uv * uv
-    determinant[determinant == 0] = np.inf
-    return np.stack([uq * vv - vq * uv, vq * uu - uq * uv]) / determinant
-
-
-def _finest_first(views: tuple[View, ...], workspace: Path, reporter: Reporter) -> list[View]:
-    """The views by rising ground sampling distance (median depth over focal length), then by name."""
-
-    def ground_sampling_distance(view: View) -> float:
-        reporter.check_cancelled()
-        depth, _ = read_depth(workspace, view)
-        depth = depth[depth > 0]
-        return float(np.median(depth) / view.K[0, 0]) if len(depth) else np.inf
-
-    return sorted(views, key=lambda view: (ground_sampling_distance(view), view.name))
+    def _fresh_in(self, top: int, bottom: int) -> np.ndarray:
+        """Places in `fresh` of the pixels of rows."""
+        width = self.reference.view.width
+        return np.arange(*np.searchsorted(self.fresh.index, (top * width, bottom * width)))
 
 
 def _neighbours(views: tuple[View, ...]) -> dict[str, list[View]]:
@@ -357,45 +276,3 @@ def _neighbours(views: tuple[View, ...]) -> dict[str, list[View]]:
                if other in by_name and other != name]
         for name, view in by_name.items()
     }
-
-
-class _Cache:
-    """Depth maps with their pictures, read when asked for; those used last are kept, up to a number of bytes.
-
-    In a world with Z up the sky is left out of them.
-    """
-
-    def __init__(self, workspace: Path, limit: int, z_up: bool) -> None:
-        self._workspace, self._limit, self._bytes, self._z_up = workspace, limit, 0, z_up
-        self._entries: OrderedDict[str, _DepthMap] = OrderedDict()
-
-    def __getitem__(self, view: View) -> _DepthMap:
-        if view.name in self._entries:
-            self._entries.move_to_end(view.name)
-            return self._entries[view.name]
-        entry = _read_depth_map(view, self._workspace, self._z_up)
-        self._bytes += entry.nbytes
-        while self._entries and self._bytes > self._limit:
-            self._bytes -= self._entries.popitem(last=False)[1].nbytes
-        self._entries[view.name] = entry
-        return entry
-
-
-def _read_depth_map(view: View, workspace: Path, z_up: bool) -> _DepthMap:
-    depth, confidence = read_depth(workspace, view)
-    path = workspace / view.image
-    remedy = "Delete that file and run Reconstruct again."
-    try:
-        picture = images.read_rgb(path)
-    except PhotoError as error:
-        raise WorkspaceError(f"The undistorted picture {path} is missing or damaged.", remedy=remedy,
-                             path=path) from error
-    if picture.shape[:2] != depth.shape:
-        raise WorkspaceError(f"{path} and its depth map differ in size.", remedy=remedy, path=path)
-    inverse = np.full(depth.shape, np.nan, np.float32)
-    np.divide(1, depth, out=inverse, where=depth > 0)
-    confidence = np.nan_to_num(confidence.astype(np.float32))
-    if z_up:
-        sky = sky_mask(picture, confidence, view.K, view.cam_from_world)
-        inverse[sky], confidence[sky] = np.nan, 0
-    return _DepthMap(inverse, confidence, picture)
