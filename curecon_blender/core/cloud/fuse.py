@@ -65,10 +65,10 @@ class Plan:
     cache: int
 
 
-def plan(pixels: Iterable[int], budget: int) -> Plan:
+def plan(pixels: Iterable[float], budget: int) -> Plan:
     """For views of so many pixels: half of what one reference and one neighbour leave is for a band, the rest for
     more neighbours. A budget that is too small for one neighbour and LEAST_BAND is exceeded."""
-    sizes = list(pixels)
+    sizes = [round(count) for count in pixels]
     largest = max(sizes)
     left = budget - BASE_BYTES - largest * (2 * BYTES_PER_PIXEL + READING_BYTES)
     band = min(max(left // 2 // BAND_BYTES, LEAST_BAND), largest)
@@ -76,9 +76,9 @@ def plan(pixels: Iterable[int], budget: int) -> Plan:
     return Plan(band, largest * BYTES_PER_PIXEL + max(more, 0))
 
 
-def peak_bytes(pixels: Iterable[int], budget: int) -> int:
+def peak_bytes(pixels: Iterable[float], budget: int) -> int:
     """Memory that fusion takes of views of so many pixels, with the budget given."""
-    sizes = list(pixels)
+    sizes = [round(count) for count in pixels]
     planned = plan(sizes, budget)
     kept = min(planned.cache, sum(sizes) * BYTES_PER_PIXEL)
     return BASE_BYTES + max(sizes) * (BYTES_PER_PIXEL + READING_BYTES) + kept + planned.band * BAND_BYTES

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-import psutil
 import torch
 
+from ..base import memory
 from ..base.errors import DeviceError
 from ..base.options import Options
 from ..base.records import View
@@ -43,12 +43,9 @@ class Tile:
 
 def memory_budget(options: Options, device: torch.device) -> int:
     """Bytes that the depth stage may use: the option, or 60 % of what the device has free; or half of that."""
-    share = 0.5 if options.half_memory else 1.0
-    if options.memory_gib is not None:
-        return int(share * options.memory_gib * 2**30)
-    if device.type == "cuda":
-        return int(share * 0.6 * torch.cuda.mem_get_info(device)[0])
-    return int(share * 0.6 * psutil.virtual_memory().available)
+    if device.type != "cuda" or options.memory_gib is not None:
+        return memory.budget(options)
+    return int(memory.SHARE * torch.cuda.mem_get_info(device)[0] * (0.5 if options.half_memory else 1.0))
 
 
 def bytes_per_pixel(hypotheses: int) -> int:

@@ -21,11 +21,12 @@ import numpy as np
 import psutil
 import torch
 
-from ..base import images
+from ..base import images, memory
 from ..base.files import write_json
 from ..base.options import PRESETS, STAGES, SURFACE_STAGES, Options
 from ..base.reading import Within, build, read_json
 from ..base.records import Photo
+from ..cloud import fuse
 from ..depth import tiles
 from ..depth.estimate import FEATURE_BYTES, choose_device, choose_precision
 from ..sparse.pairs import expected_pairs, metadata_pairs
@@ -193,7 +194,7 @@ def _peak_bytes(photos: tuple[Photo, ...], options: Options) -> dict[str, float]
     full = max(photo.width * photo.height for photo in photos)
     readers = images.readers(full, workers)
     full *= images.DECODING_BYTES
-    budget = options.memory_gib * 2**30 if options.memory_gib else 0.6 * psutil.virtual_memory().available
+    budget = memory.budget(options)
     per_pixel = tiles.bytes_per_pixel(_hypotheses(photos, size))
     per_pixel += options.source_views * tiles.BYTES_PER_SOURCE_PIXEL
     tile = max(min(tiles.BASE_BYTES + max(pixels) * per_pixel, budget), tiles.LEAST_BUDGET)
@@ -203,7 +204,7 @@ def _peak_bytes(photos: tuple[Photo, ...], options: Options) -> dict[str, float]
     peaks = {
         "photos": readers * full,
         "sparse": max(readers * (full + picture), workers * MATCHING_BYTES * options.preset.max_features**2),
-        "views": 1.2 * full, "depth": tile + features, "fusion": 40 * max(pixels),
+        "views": 1.2 * full, "depth": tile + features, "fusion": fuse.peak_bytes(pixels, budget),
         "mesh": meshed * MESH_BYTES_PER_PIXEL, "texture": meshed * MESH_BYTES_PER_PIXEL / 2,
     }
     return {stage: LIBRARIES_BYTES + peak for stage, peak in peaks.items()}
