@@ -23,10 +23,12 @@ from curecon_blender.core.base.errors import Cancelled, DeviceError, PhotoError,
 from curecon_blender.core.base.messages import Message, Progress, Reporter
 from curecon_blender.core.base.options import Options
 from curecon_blender.core.base.records import Component
-from curecon_blender.core.depth import cluster as spreading
-from curecon_blender.core.depth import estimate as depth
+from curecon_blender.core.depth import cluster as depth_cluster
+from curecon_blender.core.depth.estimate import estimate_depths
+from curecon_blender.core.depth.maps import depth_path
 from curecon_blender.core.network import weights
 from curecon_blender.core.run import pipeline
+from curecon_blender.core.run.command_line import options_of, parser
 
 KEY = "key"
 PHOTOS = 7
@@ -68,7 +70,7 @@ def spread(scene: tuple[Component, Path], address: str, heard: Callable[[Progres
             heard(message)
 
     component, workspace = scene
-    spreading.spread_depths([component], workspace, options(workspace, address), KEY, Reporter(hear))
+    depth_cluster.spread_depths([component], workspace, options(workspace, address), KEY, Reporter(hear))
 
 
 def processes(cluster: distributed.LocalCluster) -> list[int]:
@@ -94,7 +96,7 @@ def test_a_killed_workers_photos_are_done_again_bit_for_bit(
     torch.set_num_threads(1)
     try:
         network = weights.load_network()
-        depth.estimate_depths([component], network, workspace, options(workspace), KEY, Reporter())
+        estimate_depths([component], network, workspace, options(workspace), KEY, Reporter())
     finally:
         torch.set_num_threads(before)
     alone = depth_maps(workspace)
@@ -112,7 +114,8 @@ def test_finished_photos_are_left_alone_and_cancelling_keeps_them(
     reporter = Reporter(lambda message: cancelled.append(1) if isinstance(message, Progress) and message.done == 2
                         else None, lambda: bool(cancelled))
     with pytest.raises(Cancelled):
-        spreading.spread_depths([component], workspace, options(workspace, cluster.scheduler_address), KEY, reporter)
+        depth_cluster.spread_depths(
+            [component], workspace, options(workspace, cluster.scheduler_address), KEY, reporter)
     time.sleep(2)  # those at work are finished
     kept = {path.name: path.stat().st_mtime_ns for path in (workspace / "depth").glob("*.npz")}
     assert 2 <= len(kept) < PHOTOS
@@ -142,6 +145,37 @@ def test_what_goes_wrong_in_a_worker_comes_back_with_its_remedy(
     assert "Put the photo back" in raised.value.remedy
 
 
+def test_a_job_with_a_region_is_spread_too(cluster: distributed.LocalCluster, tmp_path: Path) -> None:
+    workspace = tmp_path / "workspace"
+    component = write_scene(workspace, [make_view(i, PHOTOS) for i in range(PHOTOS)])
+    missing = depth_path(workspace, component.views[3].name)
+    missing.unlink()
+    given = parser().parse_args([
+        "reconstruct", "photos", "--workspace", str(workspace), "--device", "cpu", "--memory", "2",
+        "--scheduler", cluster.scheduler_address, "--region", "-1", "-1", "0", "1", "1", "2",
+        "--region-turn", "1", "0", "0", "0",
+    ])
+    depth_cluster.spread_depths([component], workspace, options_of(given), "", Reporter())
+    with np.load(missing) as arrays:
+        assert (arrays["depth"] > 0).mean() > 0.9
+
+
+def test_a_changed_file_in_any_room_makes_another_version(tmp_path: Path) -> None:
+    copy = tmp_path / "core"
+    shutil.copytree(depth_cluster.CORE, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    ours = depth_cluster.code_digest()
+    assert depth_cluster.code_digest(copy) == ours
+    files = sorted(copy.rglob("*.py"))
+    assert {"base", "sparse", "network", "depth", "texture", "run"} <= {file.parent.name for file in files}
+    for file in files:
+        content = file.read_bytes()
+        file.write_bytes(content + b"# changed\n")
+        assert depth_cluster.code_digest(copy) != ours, file
+        file.write_bytes(content)
+    (copy / "views" / "record.py").rename(copy / "views" / "records.py")
+    assert depth_cluster.code_digest(copy) != ours
+
+
 def test_errors_survive_the_way_between_processes() -> None:
     error = WorkspaceError("The disk is full.", remedy="Free some space.", path=Path("a"))
     back = pickle.loads(pickle.dumps(error))
@@ -153,7 +187,7 @@ def test_errors_survive_the_way_between_processes() -> None:
 def test_a_scheduler_that_is_not_there_is_told_before_the_work(
     site_photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(spreading, "CONNECT_SECONDS", 1)
+    monkeypatch.setattr(depth_cluster, "CONNECT_SECONDS", 1)
     chosen = replace(options(tmp_path / "w", "tcp://127.0.0.1:9"), photos=site_photos)
     with pytest.raises(DeviceError, match="No Dask scheduler answers") as raised:
         pipeline.reconstruct(chosen, Reporter())

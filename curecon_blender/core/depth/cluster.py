@@ -31,13 +31,14 @@ from ..base.messages import Reporter
 from ..base.options import Options
 from ..base.records import Component, View
 from ..network import weights
-from ..views import record as components_file
+from ..views import record as views_record
 from .estimate import DepthEstimator, choose_device, make_depth, start_progress, unfinished
 
 if TYPE_CHECKING:
     import distributed
 
-REQUIREMENTS = Path(__file__).resolve().parents[2] / "requirements-dask.txt"
+CORE = Path(__file__).resolve().parents[1]
+REQUIREMENTS = CORE.parent / "requirements-dask.txt"
 CONNECT_SECONDS = 10
 POLL_SECONDS = 0.5
 LONELY_SECONDS = 60.0  # without any worker before the job gives up
@@ -67,10 +68,10 @@ def connect(address: str) -> Iterator[distributed.Client]:
     with client, client.as_current():
         # The scheduler reads the tasks too, and says of what it cannot read only that "environments differ".
         try:
-            theirs = client.run_on_scheduler(_code)
+            theirs = client.run_on_scheduler(code_digest)
         except Exception as error:  # whatever its Python raised
             raise _unlike(f"scheduler at {address}", error) from error
-        if theirs != _code():
+        if theirs != code_digest():
             raise _unlike(f"scheduler at {address}", "it has another version of CU-Recon")
         yield client
 
@@ -171,28 +172,29 @@ def _unlike(who: str, why: object) -> DeviceError:
     return DeviceError(
         f"The Dask {who} cannot help with depth maps: {why}",
         remedy=getattr(why, "remedy", "Start it with the same versions of CU-Recon's libraries and of Dask, and with "
-                       f"the folder {Path(__file__).resolve().parents[3]} on its PYTHONPATH."),
+                       f"the folder {CORE.parents[1]} on its PYTHONPATH."),
     )
 
 
-def _code() -> str:
-    """A digest of CU-Recon's own code."""
+def code_digest(folder: Path = CORE) -> str:
+    """A digest of all code in a folder and below, and of the files' places there."""
+    files = {file.relative_to(folder).as_posix(): file for file in folder.rglob("*.py")}
     digest = hashlib.sha256()
-    for file in sorted(Path(__file__).parents[1].rglob("*.py")):
-        digest.update(file.read_bytes())
+    for place, file in sorted(files.items()):
+        digest.update(f"{place} {hashlib.sha256(file.read_bytes()).hexdigest()}\n".encode())
     return digest.hexdigest()
 
 
 def _seen_here(workspace: Path, options: Options) -> dict[str, str]:
     """Digests of what a task needs, by its name for people. Raises CuReconError when something is not there."""
     choose_device(options.device)
-    views = workspace / components_file.FILE_NAME
+    views = workspace / views_record.FILE_NAME
     writable = views.is_file() and os.access(workspace, os.W_OK)
     return {
         f"workspace {workspace} (or may not write to it)": hashlib.sha256(views.read_bytes()).hexdigest()
         if writable else "",
         f"file of weights ({options.weights or 'the shipped one'})": weights.describe(options.weights)["sha256"],
-        "version of CU-Recon": _code(),
+        "version of CU-Recon": code_digest(),
     }
 
 
@@ -223,4 +225,4 @@ def _prepared(workspace: Path, options: Options, key: str) -> tuple[DepthEstimat
         if options.memory_gib is None and limit:
             options = replace(options, memory_gib=WORKER_SHARE * limit / 2**30)
     estimator = DepthEstimator(weights.load_network(options.weights), workspace, options)
-    return estimator, [{v.name: v for v in component.views} for component in components_file.read(workspace)]
+    return estimator, [{v.name: v for v in component.views} for component in views_record.read(workspace)]
