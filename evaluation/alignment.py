@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from curecon_blender.core.base.errors import SparseError, WorkspaceError
-from curecon_blender.core.views import record as components
+from curecon_blender.core.views import record as views_record
 
 
 @dataclass(frozen=True)
@@ -63,8 +63,8 @@ def read_centres(path: Path) -> dict[str, np.ndarray]:
     """
     if path.suffix == ".log":
         return _read_trajectory(path)
-    if (path / components.FILE_NAME).exists():
-        return {Path(view.name).stem: view.centre for view in components.read(path)[0].views}
+    if (path / views_record.FILE_NAME).exists():
+        return {Path(view.name).stem: view.centre for view in views_record.read(path)[0].views}
     if not (path / "images.txt").exists() and not (path / "images.bin").exists():
         raise WorkspaceError(
             f"{path} holds no cameras.",

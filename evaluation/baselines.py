@@ -30,7 +30,7 @@ from curecon_blender.core.base.options import Options
 from curecon_blender.core.base.records import View
 from curecon_blender.core.cloud.fuse import NoPointsError, fuse
 from curecon_blender.core.depth.maps import depth_path, write_depth
-from curecon_blender.core.views import record as components
+from curecon_blender.core.views import record as views_record
 
 from .plane_sweep import sweep
 
@@ -74,11 +74,11 @@ def run(workspace: Path, out: Path, method: Method, reporter: Reporter) -> float
     """
     if out.resolve() == workspace.resolve():
         raise WorkspaceError(f"{out} holds the network's depth maps.", path=out, remedy="Give another --out folder.")
-    found = components.read(workspace)
+    found = views_record.read(workspace)
     views = [(component, view) for component in found for view in component.views]
     with disk_errors(out):
         out.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(workspace / components.FILE_NAME, out / components.FILE_NAME)
+        shutil.copyfile(workspace / views_record.FILE_NAME, out / views_record.FILE_NAME)
         shutil.copytree(workspace / "undistorted", out / "undistorted", dirs_exist_ok=True)
         for component in found:
             shutil.copytree(workspace / component.sparse, out / component.sparse, dirs_exist_ok=True)
@@ -121,7 +121,7 @@ def main(arguments: list[str] | None = None) -> int:
         seconds = run(args.workspace, out, METHODS[args.method], reporter)
         reporter.stage("fusion")
         points = {}
-        for component in components.read(out):
+        for component in views_record.read(out):
             try:
                 points[component.cloud] = fuse(component, out, options, reporter)
             except NoPointsError as error:

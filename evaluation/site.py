@@ -32,7 +32,7 @@ from curecon_blender.core.base.errors import CuReconError, WorkspaceError
 from curecon_blender.core.base.options import Options
 from curecon_blender.core.base.records import Component, GeoPosition, View
 from curecon_blender.core.depth.maps import read_depth
-from curecon_blender.core.views import record as components
+from curecon_blender.core.views import record as views_record
 
 from . import cloud_metrics, depth_metrics
 from .alignment import Sim3, align_cameras, read_centres
@@ -73,7 +73,7 @@ class SiteReport:
 
 def report(workspace: Path, site: Path, depth_folder: Path | None = None, radius: float | None = None) -> SiteReport:
     """Measure a finished workspace against the truth of a site. Raises WorkspaceError where a file is missing."""
-    found = components.read(workspace)
+    found = views_record.read(workspace)
     truth = read_centres(site / "truth")
     to_truth = align_cameras(read_centres(workspace), truth)
     depth = confident = None

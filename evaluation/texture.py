@@ -35,7 +35,7 @@ from curecon_blender.core.surface.triangles import triangle_areas
 from curecon_blender.core.texture.rasterise import inverse_depth_buffer, scan_convert
 from curecon_blender.core.texture.texture import TextureOptions, texture_mesh
 from curecon_blender.core.texture.visibility import in_camera, project
-from curecon_blender.core.views import record as components
+from curecon_blender.core.views import record as views_record
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,7 +155,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args(arguments)
     try:
-        component = components.read(given.workspace)[0]
+        component = views_record.read(given.workspace)[0]
         mesh = read_mesh(given.mesh or given.workspace / mesh_file(component.index))
         held_out = tuple(view.name for view in component.views[given.every // 2 :: max(given.every, 2)])
         results = [

@@ -26,7 +26,7 @@ from curecon_blender.core.cloud.ply import read_cloud
 from curecon_blender.core.cloud.sky import sky_mask
 from curecon_blender.core.depth.maps import read_depth
 from curecon_blender.core.surface.mesh import Mesh, write_mesh
-from curecon_blender.core.views import record as components
+from curecon_blender.core.views import record as views_record
 
 SIDE = 8  # voxels of a block
 TRUNCATION = 3  # voxels
@@ -153,7 +153,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--voxel", type=float, default=0.06, help="side of a voxel in world units")
     parser.add_argument("--component", type=int, default=0)
     args = parser.parse_args(arguments)
-    component = components.read(args.workspace)[args.component]
+    component = views_record.read(args.workspace)[args.component]
     mesh = surface(integrate(component, args.workspace, args.voxel))
     write_mesh(args.out, mesh)
     print(f"{args.out}: {len(mesh.faces)} faces")

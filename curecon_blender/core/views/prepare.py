@@ -60,8 +60,8 @@ def prepare_views(photo_set: PhotoSet, options: Options, workspace: Path, report
             pose = image.cam_from_world().matrix()
             matched = np.zeros(len(points), bool)
             matched[[number[p.point3D_id] for p in image.get_observation_points2D()]] = True
-            told = sparse_points.points_in(points, matched, K, pose, (rgb.shape[1], rgb.shape[0]))
-            sparse_points.write(workspace, image.name, told)
+            inside = sparse_points.points_in(points, matched, K, pose, (rgb.shape[1], rgb.shape[0]))
+            sparse_points.write(workspace, image.name, inside)
             near, far = depth_range(depths)
             scored = [(model.images[i].name, score) for i, score, _ in neighbours[image_id] if score > 0]
             shared = sorted(neighbours[image_id], key=lambda n: -n[2])[:OVERLAPS]
@@ -69,7 +69,8 @@ def prepare_views(photo_set: PhotoSet, options: Options, workspace: Path, report
                 name=image.name, image=picture, width=rgb.shape[1], height=rgb.shape[0], K=K,
                 cam_from_world=pose, near=near, far=far,
                 sources=tuple(sorted(scored, key=lambda s: -s[1])[: max(options.source_views, 1)]),
-                overlaps=tuple(model.images[i].name for i, _, _ in shared), original=str(photo.path), points=len(told),
+                overlaps=tuple(model.images[i].name for i, _, _ in shared), original=str(photo.path),
+                points=len(inside),
             ))
         kept = {view.name for view in views}
         components.append(Component(
