@@ -40,6 +40,7 @@ def fused_refined_depth(
     return chosen, confidence
 
 
+# Long: one loop over the pixels, whose candidates stay in the processor's registers.
 @compiled
 def _choose(
     t: Any, planes: Any, logits: Any, interval: Any, reach: Any, coordinate: Any, chosen: Any, confidence: Any,

@@ -213,6 +213,7 @@ def _volume(
                     volume[m, y - top, x, g] = group * scale
 
 
+# Long: one loop over the voxels computes all gradients, so that each warped feature is computed once.
 @compiled
 def _gradients(
     reference: Any, sources: Any, sizes: Any, extents: Any, rotated: Any, shifted: Any, inverse_depth: Any,
