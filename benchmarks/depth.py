@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""CPU seconds and peak memory of one photo's depth map, by size and step: what core/depth.py's memory model rests on.
+"""CPU seconds and peak memory of one photo's depth map, by size and step: what depth/tiles.py's memory model rests on.
 
     python -m benchmarks.depth [--sizes 800x600 1600x1200 3200x2400] [--sources 4] [--device cpu] [--precision auto]
 

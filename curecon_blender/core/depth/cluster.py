@@ -41,7 +41,7 @@ CORE = Path(__file__).resolve().parents[1]
 REQUIREMENTS = CORE.parent / "requirements-dask.txt"
 CONNECT_SECONDS = 10
 POLL_SECONDS = 0.5
-LONELY_SECONDS = 60.0  # without any worker before the job gives up
+NO_WORKER_SECONDS = 60.0  # without any worker before the job gives up
 WORKER_SHARE = 0.6  # of the memory that Dask allows a worker: above 0.8 it pauses it, above 0.95 it ends it
 
 
@@ -70,9 +70,9 @@ def connect(address: str) -> Iterator[distributed.Client]:
         try:
             theirs = client.run_on_scheduler(code_digest)
         except Exception as error:  # whatever its Python raised
-            raise _unlike(f"scheduler at {address}", error) from error
+            raise _incompatible(f"scheduler at {address}", error) from error
         if theirs != code_digest():
-            raise _unlike(f"scheduler at {address}", "it has another version of CU-Recon")
+            raise _incompatible(f"scheduler at {address}", "it has another version of CU-Recon")
         yield client
 
 
@@ -107,7 +107,7 @@ def spread_depths(
                 reporter.check_cancelled()
                 if finished or client.nthreads():
                     seen = time.monotonic()
-                elif time.monotonic() - seen > LONELY_SECONDS:
+                elif time.monotonic() - seen > NO_WORKER_SECONDS:
                     raise _no_workers(options.scheduler)
         finally:
             client.cancel(list(futures))
@@ -156,7 +156,7 @@ def _checked_workers(client: distributed.Client, workspace: Path, options: Optio
         raise _no_workers(options.scheduler)
     for address, answer in sorted(answers.items()):
         if isinstance(answer, Exception):
-            raise _unlike(f"worker {address}", answer) from answer
+            raise _incompatible(f"worker {address}", answer) from answer
         for what, digest in ours.items():
             if answer[what] != digest:
                 raise DeviceError(
@@ -167,7 +167,7 @@ def _checked_workers(client: distributed.Client, workspace: Path, options: Optio
     return sorted(answers)
 
 
-def _unlike(who: str, why: object) -> DeviceError:
+def _incompatible(who: str, why: object) -> DeviceError:
     """That a part of the cluster cannot take part; `why` may be an error with its own remedy."""
     return DeviceError(
         f"The Dask {who} cannot help with depth maps: {why}",
