@@ -306,7 +306,7 @@ def test_an_unsure_pixel_is_not_thrown_far_beyond_what_the_photo_reaches() -> No
     matched = np.array([[5, 5, 30, 1], [9, 9, 390, 0]], np.float32)  # the second is another photo's point
 
     held = within_reach(depth, confidence, matched)
-    assert np.allclose(held[:4, :25], 66) and (held[4:] == 20).all() and (held[:4, 25:] == 60).all()
+    assert np.allclose(held[:4, :25], 72) and (held[4:] == 20).all() and (held[:4, 25:] == 60).all()
     confidence[:4, 25:] = 0.2  # then the photo reaches as far as its point
-    assert np.allclose(within_reach(depth, confidence, matched)[:4], 33)
+    assert np.allclose(within_reach(depth, confidence, matched)[:4], 36)
     assert (within_reach(depth, np.zeros_like(confidence), matched[1:]) == depth).all()  # nothing to go by

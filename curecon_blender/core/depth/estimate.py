@@ -27,7 +27,7 @@ from .tiles import Tile, kept_part, memory_budget, plan_tiles, visible_region
 RELEASE_EVERY = 16  # photos: what lies between the features that are kept would else add up, a few MB a photo
 FEATURE_BYTES = 1 << 30  # of photos' features kept: a photo's neighbours, some dozens
 SURE, UNSURE = 0.9, 0.5  # confidence
-REACH = 1.1  # times the farthest reliable depth: no unsure pixel lies beyond
+REACH = 1.2  # times the farthest reliable depth: no unsure pixel lies beyond; the margin that depth_range gives
 
 
 def choose_device(name: str) -> torch.device:
