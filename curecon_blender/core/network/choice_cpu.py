@@ -47,8 +47,7 @@ def _choose(
     top: Any, bottom: Any,
 ) -> None:
     """Rows [top, bottom) of a quarter: t, chosen, confidence (H,W), planes (h,w,P,3), logits (h,w,(P+3)*step*step). The
-    pixels of a block side by side: loops over them run in vector registers. One function, though it is long: its steps
-    share a block's buffers."""
+    pixels of a block side by side: loops over them run in vector registers."""
     count = planes.shape[2] + 1
     step = t.shape[0] // planes.shape[0]
     block = step * step

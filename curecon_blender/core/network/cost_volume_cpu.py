@@ -221,8 +221,7 @@ def _gradients(
     to_scalars: Any, top: Any, bottom: Any,
 ) -> None:
     """Add what rows [top, bottom) of the volume's gradient (M,h,w,K) mean for the reference, the sources, and alpha and
-    beta (2,). One function, though it is long: a voxel's way back needs what its way there has computed, source by
-    source, and calls between the two would cost as much as the sums."""
+    beta (2,)."""
     width, channels = reference.shape[1:]
     groups = upstream.shape[3]
     each = channels // groups
