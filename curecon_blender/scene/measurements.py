@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The scene's list of measured distances: what each measures, and how sure that is (see core/measuring.py)."""
+"""The scene's list of measured distances: what each measures, and how sure that is (see core/site/measuring.py)."""
 
 from __future__ import annotations
 
