@@ -80,7 +80,7 @@ def measure(width: int, height: int, sources: int, device: str, precision: str, 
             estimator.estimate(views[0], [(view, 1.0) for view in views[1:]])
             wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
         hypotheses = estimator.coarse_hypotheses(views[0], views[1:])
-        tiles = len(plan_tiles(width, height, sources, hypotheses, estimator.budget))
+        tiles = len(plan_tiles(views[0], views[1:], hypotheses, estimator.budget))
         features = sum(spent["features"])
         # A cut-up photo's features are computed for each tile anew, a whole one's once for all its uses.
         a_photo = cpu if tiles > 1 else cpu - features * sources / (sources + 1)

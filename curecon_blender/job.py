@@ -39,6 +39,7 @@ LAST_WARNINGS = 5
 LAST_WORDS = 4000  # bytes
 KILLED = -getattr(signal, "SIGKILL", 9)
 HALF_MEMORY = next(argument.flag for option, argument in declared(RUN) if option.name == "half_memory")
+IN_BUDGET = ("depth", "fusion")  # the stages that keep to the memory budget
 MISSING_MODULE = re.compile(r"ModuleNotFoundError: No module named '([\w.]+)'")
 DISK_FULL = re.compile(r"disk is full|No space left on device")  # COLMAP's database ends the process then
 
@@ -236,7 +237,7 @@ class Job:
 
     def _read(self) -> None:
         code = self._listen()
-        if code == KILLED and self._stage == "depth" and self._start_with_half_the_memory():
+        if code == KILLED and self._stage in IN_BUDGET and self._start_with_half_the_memory():
             code = self._listen()
         if code is not None:
             self._messages.put(failure(Cancelled()) if self.cancelled else self._death(code))

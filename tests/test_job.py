@@ -92,9 +92,12 @@ def test_garbage_on_stdout_becomes_a_log_line(start_worker: StartWorker) -> None
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="SIGKILL is there on POSIX systems only")
-def test_a_killed_worker_goes_on_once_with_half_the_memory_and_then_says_what_to_do(start_worker: StartWorker) -> None:
-    job = start_worker("""
-        say("stage", stage="depth", index=0, count=1)
+@pytest.mark.parametrize("stage", ["depth", "fusion"])
+def test_a_killed_worker_goes_on_once_with_half_the_memory_and_then_says_what_to_do(
+    start_worker: StartWorker, stage: str
+) -> None:
+    job = start_worker(f"""
+        say("stage", stage="{stage}", index=0, count=1)
         say("log", text=" ".join(sys.argv[1:]))
         time.sleep(60)
     """)
@@ -116,7 +119,7 @@ def test_a_worker_killed_in_another_stage_or_after_a_cancel_is_not_started_again
     start_worker: StartWorker, cancelled: bool
 ) -> None:
     job = start_worker(f"""
-        say("stage", stage="{"depth" if cancelled else "fusion"}", index=0, count=1)
+        say("stage", stage="{"depth" if cancelled else "mesh"}", index=0, count=1)
         time.sleep(60)
     """)
     wait_for(job, StageStarted)

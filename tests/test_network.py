@@ -15,8 +15,17 @@ from box_scene import cast, make_view, write_scene
 
 from curecon_blender.core.base.errors import DeviceError
 from curecon_blender.core.base.options import Options
+from curecon_blender.core.base.records import View
 from curecon_blender.core.depth.estimate import DepthEstimator, within_reach
-from curecon_blender.core.depth.tiles import Tile, plan_tiles, visible_region
+from curecon_blender.core.depth.tiles import (
+    BASE_BYTES,
+    BYTES_PER_SOURCE_PIXEL,
+    Tile,
+    bytes_per_pixel,
+    plan_tiles,
+    seen_regions,
+    visible_region,
+)
 from curecon_blender.core.network.config import PAPER
 from curecon_blender.core.network.cost_volume_cpu import CostVolumeInput, fused_cost_volume
 from curecon_blender.core.network.homographies import homography_terms, pixel_grid
@@ -190,17 +199,27 @@ def test_the_shipped_weights_find_the_depth_of_a_scene(tmp_path: Path) -> None:
     assert error[sure].mean() < error[~sure].mean()  # confidence means something
 
 
-def test_tiles_cover_the_photo_within_the_budget() -> None:
+def test_tiles_cover_the_photo_and_what_they_see_of_sources_fits_the_budget() -> None:
     for width, height in ((800, 600), (8000, 6000), (321, 1999)):
+        view, *sources = (enlarged(make_view(i, 100), width, height) for i in (0, 1, 99, 2, 98))
         for budget in (900 << 20, 4 << 30):
             covered = np.zeros((height, width), bool)
-            tiles = plan_tiles(width, height, 4, 96, budget)
+            tiles = plan_tiles(view, sources, 96, budget)
             for tile in tiles:
                 assert tile.x0 >= 0 and tile.y0 >= 0 and tile.x1 <= width and tile.y1 <= height
                 covered[tile.y0 : tile.y1, tile.x0 : tile.x1] = True
+                sizes = [np.prod(region.size) for region in seen_regions(view, tile, sources)]
+                own = BASE_BYTES + np.prod(tile.size) * bytes_per_pixel(96)
+                assert own + sum(sizes) * BYTES_PER_SOURCE_PIXEL < budget
             assert covered.all()
     with pytest.raises(DeviceError, match="too small"):
-        plan_tiles(8000, 6000, 4, 96, 100 << 20)
+        plan_tiles(enlarged(make_view(0, 100), 8000, 6000), [], 96, 100 << 20)
+
+
+def enlarged(view: View, width: int, height: int) -> View:
+    """The same camera with a picture of another size."""
+    scale = [[width / view.width], [height / view.height], [1]]
+    return replace(view, width=width, height=height, K=view.K * scale)
 
 
 def test_a_tile_takes_from_a_source_all_that_it_can_see() -> None:

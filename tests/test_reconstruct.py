@@ -161,7 +161,8 @@ def test_a_small_memory_budget_changes_the_tiles_and_not_the_depth(
     views = {view.name: view for view in read(workspace)[0].views}
     view = next(iter(views.values()))
     budgets = [8.0, (BASE_BYTES + 90e6) / 2**30]
-    assert [len(plan_tiles(view.width, view.height, 4, 48, int(b * 2**30))) > 1 for b in budgets] == [False, True]
+    sources = [views[name] for name, _ in view.sources]
+    assert [len(plan_tiles(view, sources, 48, int(b * 2**30))) > 1 for b in budgets] == [False, True]
     whole, tiled = (
         DepthEstimator(load_network(), workspace, Options(
             photos=site_photos, workspace=workspace, memory_gib=budget, device="cpu", precision="fp32",

@@ -22,7 +22,7 @@ from ..network.model import MULTIPLE, Geometry, LCMMVSNet, depth_from_t
 from ..network.refinement import rasterise_points
 from ..views import sparse_points
 from .maps import is_finished, write_depth
-from .tiles import Tile, kept_part, memory_budget, plan_tiles, visible_region
+from .tiles import Tile, kept_part, memory_budget, plan_tiles, seen_regions
 
 RELEASE_EVERY = 16  # photos: what lies between the features that are kept would else add up, a few MB a photo
 FEATURE_BYTES = 1 << 30  # of photos' features kept: a photo's neighbours, some dozens
@@ -73,12 +73,13 @@ class DepthEstimator:
         """
         depth = np.zeros((view.height, view.width), np.float32)
         confidence = np.zeros((view.height, view.width), np.float16)
-        largest = max((v.width * v.height for v, _ in sources), default=0)
-        scale = max(1.0, largest / (view.width * view.height))
-        hypotheses = self.coarse_hypotheses(view, [source for source, _ in sources])
+        others = [source for source, _ in sources]
+        hypotheses = self.coarse_hypotheses(view, others)
         points = sparse_points.read(self._workspace, view)
-        tiles = plan_tiles(view.width, view.height, max(1, round(len(sources) * scale)), hypotheses, self.budget)
+        tiles = plan_tiles(view, others, hypotheses, self.budget)
         for tile in tiles:
+            if len(tiles) > 1:
+                release()  # what tiles see differs in size: free memory in pieces would add up
             tile_depth, tile_confidence = self._tile(view, sources, points, tile, hypotheses, len(tiles) == 1)
             kept = kept_part(tile, view)
             place = np.s_[kept.y0 : kept.y1, kept.x0 : kept.x1]
@@ -97,9 +98,8 @@ class DepthEstimator:
         self, view: View, sources: list[tuple[View, float]], points: np.ndarray, tile: Tile, hypotheses: int,
         whole: bool,
     ) -> tuple[np.ndarray, np.ndarray]:
-        crops = [(view, tile)] + [
-            (s, Tile(0, 0, s.width, s.height) if whole else visible_region(view, tile, s)) for s, _ in sources
-        ]
+        others = [source for source, _ in sources]
+        crops = [(view, tile), *zip(others, seen_regions(view, tile, others), strict=True)]
         features = [self._features_of(v, region, whole) for v, region in crops]
         K = np.stack([_shifted(v.K, region) for v, region in crops])
         # Poses relative to the reference's centre keep float32 exact, wherever the site's origin is.

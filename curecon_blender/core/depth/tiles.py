@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 
@@ -24,6 +25,8 @@ BASE_BYTES = 500 << 20
 LEAST_BUDGET = BASE_BYTES + (400 << 20)  # of the whole stage: one small tile
 BYTES_PER_HYPOTHESIS = 60  # and pixel of the photo
 BYTES_PER_SOURCE_PIXEL = 80
+MORE_TILES = 1.2  # times as many are tried next
+MOST_FOR_SOURCES = 2  # times as many as need least, after which no more are tried
 
 
 @dataclass(frozen=True)
@@ -60,25 +63,54 @@ def typical_hypotheses(size: int) -> int:
     return min(max(size // 8, MIN_HYPOTHESES), MAX_HYPOTHESES)
 
 
-def plan_tiles(width: int, height: int, sources: int, hypotheses: int, budget: int) -> list[Tile]:
-    """The fewest equal tiles, as square as can be, that each fit `budget` bytes with so many hypotheses at the coarsest
-    level. Raises DeviceError when not even a small tile fits."""
+def plan_tiles(view: View, sources: list[View], hypotheses: int, budget: int) -> list[Tile]:
+    """Few equal tiles of a view, about square, that each fit `budget` bytes with so many hypotheses at the coarsest
+    level and what they see of the sources. Raises DeviceError when not even a small tile fits."""
+    least: tuple[float, list[Tile]] = (np.inf, [])
+    for tiles in _divisions(view.width, view.height):
+        own = BASE_BYTES + _area(tiles[0]) * bytes_per_pixel(hypotheses)
+        if own + len(sources) * _area(tiles[0]) * BYTES_PER_SOURCE_PIXEL > budget:
+            continue
+        seen = max(sum(map(_area, seen_regions(view, tile, sources))) for tile in tiles)
+        peak = own + seen * BYTES_PER_SOURCE_PIXEL
+        least = min(least, (peak, tiles), key=lambda found: found[0])
+        # Of a source that goes past the camera's side, the smallest tile may see all: more tiles do not help then.
+        if peak <= budget or len(tiles) > MOST_FOR_SOURCES * len(least[1]):
+            break
+    if not least[1]:
+        raise DeviceError(
+            f"A memory budget of {budget / 2**30:.2f} GiB is too small for even one tile of a depth map.",
+            remedy=f"Give it at least {LEAST_BUDGET / 2**30:.1f} GiB, or close other programs.",
+        )
+    return least[1]
+
+
+def _divisions(width: int, height: int) -> Iterator[list[Tile]]:
+    """A picture in ever more equal tiles: whole, then about square and by some tenths more each time."""
+    last = 0.0
     for columns, rows in sorted(product(range(1, 65), repeat=2), key=lambda n: (n[0] * n[1], abs(n[0] - n[1]))):
         tile_width, tile_height = _tile_side(width, columns), _tile_side(height, rows)
-        # A tile of a cut-up photo sees, in each source, more than its own area: its whole epipolar band.
-        seen = min(width * height, 3 * tile_width * tile_height) if columns * rows > 1 else width * height
-        own = tile_width * tile_height * bytes_per_pixel(hypotheses)
-        if BASE_BYTES + own + sources * seen * BYTES_PER_SOURCE_PIXEL <= budget:
-            return [
-                Tile(x, y, min(x + tile_width, width), min(y + tile_height, height))
-                for y in _starts(height, tile_height, rows) for x in _starts(width, tile_width, columns)
-            ]
+        square = max(tile_width, tile_height) <= 2 * min(tile_width, tile_height)
+        if columns * rows > 1 and not (square and columns * rows > MORE_TILES * last):
+            continue
+        last = columns * rows
+        yield [
+            Tile(x, y, min(x + tile_width, width), min(y + tile_height, height))
+            for y in _starts(height, tile_height, rows) for x in _starts(width, tile_width, columns)
+        ]
         if tile_width <= 2 * TILE_OVERLAP and tile_height <= 2 * TILE_OVERLAP:
-            break
-    raise DeviceError(
-        f"A memory budget of {budget / 2**30:.2f} GiB is too small for even one tile of a depth map.",
-        remedy=f"Give it at least {LEAST_BUDGET / 2**30:.1f} GiB, or close other programs.",
-    )
+            return
+
+
+def seen_regions(view: View, tile: Tile, sources: list[View]) -> list[Tile]:
+    """What of each source a tile is computed with: all of it for the whole photo, else what it can see of it."""
+    if tile.size == (view.width, view.height):
+        return [Tile(0, 0, source.width, source.height) for source in sources]
+    return [visible_region(view, tile, source) for source in sources]
+
+
+def _area(tile: Tile) -> int:
+    return tile.size[0] * tile.size[1]
 
 
 def _tile_side(length: int, count: int) -> int:
