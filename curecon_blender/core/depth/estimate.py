@@ -78,8 +78,6 @@ class DepthEstimator:
         points = sparse_points.read(self._workspace, view)
         tiles = plan_tiles(view, others, hypotheses, self.budget)
         for tile in tiles:
-            if len(tiles) > 1:
-                release()  # what tiles see differs in size: free memory in pieces would add up
             tile_depth, tile_confidence = self._tile(view, sources, points, tile, hypotheses, len(tiles) == 1)
             kept = kept_part(tile, view)
             place = np.s_[kept.y0 : kept.y1, kept.x0 : kept.x1]
@@ -137,7 +135,9 @@ class DepthEstimator:
             return self._features[view.name]
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.dtype == torch.bfloat16):
             features: tuple[Tensor, ...] = self._network.pyramid(self._colours(view, region))
-        if whole:
+        if not whole:
+            release()  # regions differ in size: what each took while computed would add up, in pieces
+        else:
             self._features[view.name] = features
             size = sum(f.numel() * f.element_size() for f in features)
             while len(self._features) > max(1, min(FEATURE_BYTES, self.budget // 4) // size):
