@@ -4,10 +4,13 @@
 
     python -m benchmarks.scale flights --assets DIR --out DIR [--counts 30 60 120 240] [--seed 1]
     python -m benchmarks.scale megapixels --photos DIR --out DIR [--megapixels 48 100] [--quality standard]
+    python -m benchmarks.scale fusion --workspace DIR --out DIR [--megapixels 48] [--memory 2 6]
 
 `flights` draws flights of the training scenes that differ in their size alone: a grid of strips flown twice, crosswise,
 at one height and overlap, so that twice the photos see twice the ground. `megapixels` enlarges a few photos. Both write
-JPEGs with a drone's EXIF and XMP and run the worker as a user would; the figures are the worker's own summary.
+JPEGs with a drone's EXIF and XMP and run the worker as a user would; the figures are the worker's own summary. `fusion`
+enlarges a finished workspace's depth maps and fuses them with several memory budgets: what that takes without the hours
+of the depth stage.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ import argparse
 import json
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
@@ -25,6 +29,16 @@ import cv2
 import numpy as np
 from PIL import Image
 
+from curecon_blender.core.base.allocator import release, use_large_pages
+from curecon_blender.core.base.images import read_rgb, write_jpeg
+from curecon_blender.core.base.memory import budget
+from curecon_blender.core.base.messages import Reporter
+from curecon_blender.core.base.options import Options
+from curecon_blender.core.base.records import Component
+from curecon_blender.core.cloud import fuse as fusion
+from curecon_blender.core.depth.maps import read_depth, write_depth
+from curecon_blender.core.run.peak_memory import PeakMemory
+from curecon_blender.core.views import record as views_record
 from samples.site_flight import TAKE_OFF, Shot, geodetic, pose, save_photo
 
 SIZE = (768, 576)  # pixels of a drawn photo
@@ -134,6 +148,43 @@ def run(folder: Path, quality: str, until: str) -> dict[str, Any]:
     return summary
 
 
+def enlarge_depth(workspace: Path, megapixels: float, out: Path) -> Component:
+    """The first component of a finished workspace in `out`, its depth maps and pictures at so many megapixels."""
+    component = views_record.read(workspace)[0]
+    (out / "undistorted").mkdir(parents=True)
+    views = []
+    for view in component.views:
+        scale = np.sqrt(megapixels * 1e6 / (view.width * view.height))
+        width, height = round(view.width * scale), round(view.height * scale)
+        K = view.K * [[width / view.width], [height / view.height], [1]]
+        larger = replace(view, width=width, height=height, K=K)
+        depth, confidence = (cv2.resize(values.astype(np.float32), (width, height)) for values in
+                             read_depth(workspace, view))
+        write_depth(out, larger, depth, confidence)
+        write_jpeg(out / view.image, cv2.resize(read_rgb(workspace / view.image), (width, height)))
+        views.append(larger)
+    component = replace(component, cloud="cloud.ply", views=tuple(views))
+    views_record.write(out, [component])
+    return component
+
+
+def time_fusion(component: Component, workspace: Path, memory: float) -> str:
+    """A line of a Markdown table: budget, bands of the first photo, points, seconds, GiB, and GiB predicted."""
+    options = Options(photos=None, workspace=workspace, memory_gib=memory)
+    sizes = [view.width * view.height for view in component.views]
+    bands = -(-sizes[0] // fusion.plan(sizes, budget(options)).band)
+    release()
+    with PeakMemory() as before:
+        pass
+    with PeakMemory() as peak:
+        started = time.perf_counter()
+        points = fusion.fuse(component, workspace, options, Reporter())
+        seconds = time.perf_counter() - started
+    predicted = fusion.peak_bytes(sizes, budget(options)) / 2**30
+    took = (peak.bytes - before.bytes) / 2**30
+    return f"| {memory:g} | {bands} | {points:,} | {seconds:.0f} | {took:.2f} | {predicted:.2f} |"
+
+
 def row(name: str, summary: dict[str, Any]) -> str:
     """A line of a Markdown table: photos placed, points, seconds / GiB of each stage, GiB on disk."""
     stages = [f"{seconds:.0f} / {summary['peak_memory_gib'][stage]:.2f}"
@@ -153,11 +204,21 @@ def main() -> None:
     sizes = commands.add_parser("megapixels", help="a few photos, enlarged")
     sizes.add_argument("--photos", type=Path, required=True, help="folder of the photos to enlarge")
     sizes.add_argument("--megapixels", type=float, nargs="+", default=[48, 100])
+    fusing = commands.add_parser("fusion", help="a finished workspace's depth maps, enlarged")
+    fusing.add_argument("--workspace", type=Path, required=True, help="a finished workspace")
+    fusing.add_argument("--out", type=Path, required=True)
+    fusing.add_argument("--megapixels", type=float, default=48)
+    fusing.add_argument("--memory", type=float, nargs="+", default=[2, 6], help="budgets in GiB")
     for command, until in ((flights, "fusion"), (sizes, "texture")):
         command.add_argument("--out", type=Path, required=True)
         command.add_argument("--quality", default="preview")
         command.add_argument("--until", default=until)
     options = parser.parse_args()
+    if options.command == "fusion":
+        component = enlarge_depth(options.workspace, options.megapixels, options.out)
+        for memory in options.memory:
+            print(time_fusion(component, options.out, memory), flush=True)
+        return
     if options.command == "flights":
         draw(options.assets, options.counts, options.seed, options.out)
         names = [str(count) for count in options.counts]
@@ -171,4 +232,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    use_large_pages()
     main()

@@ -45,7 +45,7 @@ _VIEWS = 3  # N_c, as in the paper
 _SURE = 0.9  # confidence: 97 % of the pixels with more are right within one depth interval
 # Peak memory, measured (benchmarks/scale.py): fixed; for each pixel of the largest depth map, besides what is kept of
 # it, while one is read and its sky is found; and for each pixel of a band.
-BASE_BYTES, READING_BYTES, BAND_BYTES = 300 << 20, 14, 50
+BASE_BYTES, READING_BYTES, BAND_BYTES = 300 << 20, 10, 46
 MOST_CACHE = 2 << 30  # bytes: the dozen neighbours of a photo of 20 megapixels; of larger ones, reading is a small part
 LEAST_BAND = 1 << 20  # pixels: smaller bands would read the neighbours again and again
 
@@ -80,8 +80,8 @@ def peak_bytes(pixels: Iterable[float], budget: int) -> int:
     """Memory that fusion takes of views of so many pixels, with the budget given."""
     sizes = [round(count) for count in pixels]
     planned = plan(sizes, budget)
-    kept = min(planned.cache, sum(sizes) * BYTES_PER_PIXEL)
-    return BASE_BYTES + max(sizes) * (BYTES_PER_PIXEL + READING_BYTES) + kept + planned.band * BAND_BYTES
+    kept = min(planned.cache + max(sizes) * BYTES_PER_PIXEL, sum(sizes) * BYTES_PER_PIXEL)  # with the reference
+    return BASE_BYTES + max(sizes) * READING_BYTES + kept + planned.band * BAND_BYTES
 
 
 def fuse(component: Component, workspace: Path, options: Options, reporter: Reporter) -> int:
