@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Turn a training run's averaged weights into the file that ships, without refinement with calibrated confidence.
 
-    python -m training.export --run DIR --scenes DIR [--out curecon_blender/weights/lcm_mvsnet.safetensors]
+    python -m training.export --run DIR --scenes DIR [--mean-with WEIGHTS]
+        [--out curecon_blender/weights/lcm_mvsnet.safetensors]
 
 The scenes (`python -m training.generator --held-out`) must be none that training saw: it prints the errors there. For
 a network without refinement, a logistic regression learns on them how the levels' confidences tell whether a depth is
@@ -21,7 +22,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from curecon_blender.core.network.model import LCMMVSNet, level_confidences, t_from_depth
-from curecon_blender.core.network.weights import SHIPPED, save_network
+from curecon_blender.core.network.weights import SHIPPED, load_network, save_network
 from training.dataset import training_sample
 from training.generator import load
 from training.losses import INTERVALS
@@ -77,6 +78,8 @@ def main() -> None:
     parser.add_argument("--scenes", type=Path, required=True, help="held-out scenes for the calibration")
     parser.add_argument("--samples", type=int, default=40, help="crops of the scenes to look at")
     parser.add_argument("--sources", type=int, default=4)
+    parser.add_argument("--mean-with", type=Path, metavar="WEIGHTS",
+                        help="ship the mean of the run's weights and these: what a short run began with, mostly")
     parser.add_argument("--out", type=Path, default=SHIPPED)
     options = parser.parse_args()
     if not (options.run / "state.pt").exists():
@@ -86,6 +89,10 @@ def main() -> None:
         parser.error(f"{options.scenes} holds no scenes")
     state = start(options.run, torch.device("cpu"))
     network = state.ema.eval()
+    if options.mean_with is not None:
+        with torch.no_grad():
+            for ours, theirs in zip(network.parameters(), load_network(options.mean_with).parameters(), strict=True):
+                ours.lerp_(theirs, 0.5)
     features, errors = observe(network, scenes, options.samples, options.sources)
     if not network.config.refinement:  # which learns how sure it is
         network.config = replace(network.config, calibration=fit(features, (errors < 1).float()))
