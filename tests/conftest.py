@@ -8,13 +8,14 @@ import json
 import os
 import pickle
 import shutil
-import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
+import forked
 import pytest
 from filelock import FileLock
 from PIL import Image
@@ -35,7 +36,7 @@ SMALL = ["--quality", "preview", "--max-image-size", "192", "--max-faces", "3000
 class Run:
     """What a command left: exit code, its JSON summary (last line of stdout, if any) and what it said."""
 
-    code: int
+    code: int | None
     summary: dict[str, Any]
     said: str
 
@@ -46,11 +47,11 @@ def command(*arguments: object) -> list[str]:
 
 def curecon(*arguments: object) -> Run:
     """Run the command line with --json from the repository's root."""
-    done = subprocess.run(
-        [*command(*arguments), "--json"], cwd=ROOT, capture_output=True, text=True, check=False,
-    )
-    lines = done.stdout.strip().splitlines()
-    return Run(done.returncode, json.loads(lines[-1]) if lines else {}, done.stderr)
+    with tempfile.TemporaryDirectory() as folder:
+        out, said = Path(folder) / "out", Path(folder) / "said"
+        code = forked.run([*map(str, arguments), "--json"], out, said)
+        lines = out.read_text(encoding="utf-8").strip().splitlines()
+        return Run(code, json.loads(lines[-1]) if lines else {}, said.read_text(encoding="utf-8"))
 
 
 Made = TypeVar("Made")
