@@ -14,7 +14,7 @@ from little_photos import HEIGHT, WIDTH, check, exif, save, scene, sound_folder
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from curecon_blender.core.base.records import Gimbal
+from curecon_blender.core.base.records import Gimbal, Lens
 from curecon_blender.core.photos.check import describe
 from curecon_blender.core.photos.metadata import read_metadata
 
@@ -192,3 +192,37 @@ class TestMetadata:
         )
         told = read_metadata(save(tmp_path / "x.jpg", 1, exif=exif(), xmp=packet))
         assert told.focal_px == read_metadata(save(tmp_path / "y.jpg", 1, exif=exif())).focal_px
+
+    def test_the_makers_lens_and_the_receivers_sigmas_are_read(self, tmp_path: Path) -> None:
+        told = read_metadata(save(tmp_path / "x.jpg", 1, exif=exif(), xmp=_calibrated()))
+        scale = WIDTH / 3200
+        assert told.lens == Lens(
+            f=pytest.approx(1973 * scale), aspect=pytest.approx(1955 / 1973), cx=pytest.approx(WIDTH / 2 - 19 * scale),
+            cy=pytest.approx(HEIGHT / 2 - 11 * scale), k1=-0.4, k2=0.3, p1=0.004, p2=0.003, k3=-0.2,
+        )
+        assert told.gps_sigmas == (0.014, 0.0205)
+
+    @pytest.mark.parametrize("change", [
+        (b'DewarpFlag="0"', b'DewarpFlag="1"'),  # the drone has straightened the picture
+        (b'CenterY="%d"' % (1600 * HEIGHT // WIDTH), b'CenterY="400"'),  # the picture is cropped
+        (b"1973.0,", b"973.0,"), (b",-0.2", b",-0.2,7"), (b",0.3,", b",much,"), (b",0.3,", b",1e9,"),
+    ])
+    def test_a_lens_that_is_not_this_pictures_is_not_used(self, tmp_path: Path, change: tuple[bytes, bytes]) -> None:
+        assert change[0] in _calibrated()
+        told = read_metadata(save(tmp_path / "x.jpg", 1, exif=exif(), xmp=_calibrated().replace(*change)))
+        assert told.lens is None and told.focal_px is not None
+
+    def test_sigmas_without_a_fix_are_not_believed(self, tmp_path: Path) -> None:
+        packet = _calibrated().replace(b'RtkFlag="50"', b'RtkFlag="34"')
+        assert read_metadata(save(tmp_path / "x.jpg", 1, exif=exif(), xmp=packet)).gps_sigmas is None
+
+
+def _calibrated() -> bytes:
+    """The XMP of a drone whose maker has calibrated its lens at 3200 pixels across, with RTK."""
+    return DJI_ATTRIBUTES.replace(
+        b"/>", b' drone-dji:CalibratedOpticalCenterX="1600" drone-dji:CalibratedOpticalCenterY="%d"'
+        b' drone-dji:DewarpData="2022-03-02;1973.0,1955.0,-19,-11,-0.4,0.3,0.004,0.003,-0.2" drone-dji:DewarpFlag="0"'
+        b' drone-dji:RtkFlag="50" drone-dji:RtkStdLon="0.0105" drone-dji:RtkStdLat="0.014"'
+        b' drone-dji:RtkStdHgt="0.0205"/>'
+        % (1600 * HEIGHT // WIDTH)
+    )

@@ -16,6 +16,9 @@ from .reading import FARTHEST, FILE_NAME, INSIDE, OneOf, Shape, Within
 ELLIPSOID, SEA_LEVEL, UNKNOWN = "ellipsoid", "sea level", "unknown"
 
 
+_SIGMA = Annotated[float, Within(1e-4, 1000)]
+
+
 @dataclass(frozen=True, kw_only=True)
 class GeoPosition:
     """A geodetic position on WGS84: degrees, degrees, metres above what `altitude_datum` says."""
@@ -36,6 +39,21 @@ class Gimbal:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Lens:
+    """A lens as OpenCV has it, in pixels of its photo, pixel centres at .5: f along x and f times aspect along y."""
+
+    f: Annotated[float, Within(1e-6, FARTHEST)]
+    aspect: Annotated[float, Within(0.5, 2)]
+    cx: Annotated[float, Within(-FARTHEST, FARTHEST)]
+    cy: Annotated[float, Within(-FARTHEST, FARTHEST)]
+    k1: Annotated[float, Within(-10, 10)]
+    k2: Annotated[float, Within(-10, 10)]
+    p1: Annotated[float, Within(-1, 1)]
+    p2: Annotated[float, Within(-1, 1)]
+    k3: Annotated[float, Within(-10, 10)]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Photo:
     """One usable photo and what its metadata says.
 
@@ -50,7 +68,9 @@ class Photo:
     height: Annotated[int, Within(1, 1_000_000)]
     camera: str  # photos with the same string share one set of intrinsics
     focal_px: Annotated[float, Within(1e-6, FARTHEST)] | None  # in pixels of this photo, where its metadata tells
+    lens: Lens | None = None  # the maker's calibration of this very camera
     gps: GeoPosition | None = None
+    gps_sigmas: tuple[_SIGMA, _SIGMA] | None = None  # metres, in plan and height, as the receiver states them (RTK)
     gimbal: Gimbal | None = None
     relative_altitude: Annotated[float, Within(-100_000, 100_000)] | None = None  # metres above take-off
     time: str | None = None  # ISO 8601, camera's local time

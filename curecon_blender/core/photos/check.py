@@ -203,8 +203,9 @@ def _examine(path: Path) -> Photo | SkippedPhoto:
         return SkippedPhoto(path=path, reason=error.message)
     return Photo(
         name=path.name, path=path, width=width, height=height,
-        camera=f"{told.camera or 'unknown camera'} {width}x{height}", focal_px=told.focal_px, gps=told.gps,
-        gimbal=told.gimbal, relative_altitude=told.relative_altitude, time=told.time, sharpness=_sharpness(rgb),
+        camera=f"{told.camera or 'unknown camera'} {width}x{height}", focal_px=told.focal_px, lens=told.lens,
+        gps=told.gps, gps_sigmas=told.gps_sigmas, gimbal=told.gimbal, relative_altitude=told.relative_altitude,
+        time=told.time, sharpness=_sharpness(rgb),
         overexposed=bool((rgb.min(axis=2) >= WHITE).mean() >= OVEREXPOSED),
         underexposed=bool((rgb.max(axis=2) <= BLACK).mean() >= UNDEREXPOSED),
         digest=hashlib.sha256(rgb.tobytes()).hexdigest(),

@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 from PIL import ExifTags, Image
 
 from ..base.images import exif_tags, open_image, oriented_size
-from ..base.records import ELLIPSOID, SEA_LEVEL, UNKNOWN, GeoPosition, Gimbal
+from ..base.records import ELLIPSOID, SEA_LEVEL, UNKNOWN, GeoPosition, Gimbal, Lens
 from .capture import FIRST_YEAR, LAST_YEAR
 
 _MOST_XMP = 1 << 20  # bytes; drones write some 4 kB
@@ -39,6 +39,8 @@ class Metadata:
 
     camera: str  # make, model, focal length and serial number: photos with the same share intrinsics
     focal_px: float | None
+    lens: Lens | None
+    gps_sigmas: tuple[float, float] | None
     gps: GeoPosition | None
     gimbal: Gimbal | None
     relative_altitude: float | None
@@ -57,9 +59,12 @@ def from_image(image: Image.Image) -> Metadata:
     exif = exif_tags(image, ExifTags.IFD.Exif)
     xmp = _xmp_tags(image.info.get("xmp"))
     model = _text(main.get(ExifTags.Base.Model))
+    focal_px = _focal_px(exif, xmp, model, *oriented_size(image))
     return Metadata(
         camera=_camera(main, exif, model),
-        focal_px=_focal_px(exif, xmp, model, *oriented_size(image)),
+        focal_px=focal_px,
+        lens=_lens(xmp, focal_px, image.size) if main.get(ExifTags.Base.Orientation, 1) == 1 else None,
+        gps_sigmas=_gps_sigmas(xmp),
         gps=_position(exif_tags(image, ExifTags.IFD.GPSInfo), exif, xmp),
         gimbal=_gimbal(xmp),
         relative_altitude=_height(xmp.get("RelativeAltitude")),
@@ -118,6 +123,37 @@ def _calibrated_focal(dji: Mapping[str, str], longest: int, taken: float) -> flo
         return scale * math.sqrt(fx * fy)
     calibrated = _positive(dji.get("CalibratedFocalLength"))
     return scale * calibrated if calibrated else None
+
+
+def _lens(dji: Mapping[str, str], focal_px: float | None, size: tuple[int, int]) -> Lens | None:
+    """The calibration that DJI writes into every photo of a camera (DewarpData), brought to this picture's size; None
+    for a picture that was straightened already or cropped, or whose focal length says otherwise."""
+    told = [_number(text) for text in dji.get("DewarpData", "").partition(";")[2].split(",")]
+    numbers = [number for number in told if number is not None]
+    half_width, half_height = (_positive(dji.get(f"CalibratedOpticalCenter{axis}")) for axis in "XY")
+    if len(told) != 9 or len(numbers) != 9 or not half_width or not half_height or _number(dji.get("DewarpFlag")) == 1:
+        return None
+    fx, fy, cx, cy, k1, k2, p1, p2, k3 = numbers
+    width, height = size
+    scale = 0.5 * width / half_width
+    if not abs(0.5 * height / half_height / scale - 1) < 0.01:
+        return None
+    if not (fx > 0 and 0.9 < fy / fx < 1.1 and focal_px and abs(scale * math.sqrt(fx * fy) / focal_px - 1) < 0.01):
+        return None
+    if not (abs(cx) < half_width / 4 and abs(cy) < half_height / 4
+            and max(abs(k1), abs(k2), abs(k3)) < 5 and max(abs(p1), abs(p2)) < 0.5):
+        return None
+    return Lens(f=scale * fx, aspect=fy / fx, cx=0.5 * width + scale * cx, cy=0.5 * height + scale * cy,
+                k1=k1, k2=k2, p1=p1, p2=p2, k3=k3)
+
+
+def _gps_sigmas(dji: Mapping[str, str]) -> tuple[float, float] | None:
+    """Sigmas in plan and height (metres) of a position that RTK has fixed; None where the receiver states none."""
+    longitude, latitude, height = (_positive(dji.get(f"RtkStd{name}")) for name in ("Lon", "Lat", "Hgt"))
+    if _number(dji.get("RtkFlag")) != 50 or longitude is None or latitude is None or height is None:
+        return None
+    plan = max(longitude, latitude)
+    return (plan, height) if 1e-3 <= plan < 100 and 1e-3 <= height < 100 else None
 
 
 def _position(tags: Mapping[int, Any], exif: Mapping[int, Any], dji: Mapping[str, str]) -> GeoPosition | None:

@@ -253,9 +253,9 @@ DEPTH = Stage(
     inputs=_weights, in_budget=True,
 )
 STAGES = {stage.name: stage for stage in (
-    Stage(name="photos", version=1, weight=0.02, files=(photos_record.FILE_NAME,), run=_check, inputs=_photo_files,
+    Stage(name="photos", version=2, weight=0.02, files=(photos_record.FILE_NAME,), run=_check, inputs=_photo_files,
           load=_load_photos),
-    Stage(name="sparse", version=1, weight=0.2, files=("sparse/[0-9]*/*.bin", "sparse/[0-9]*/frame.json"),
+    Stage(name="sparse", version=2, weight=0.2, files=("sparse/[0-9]*/*.bin", "sparse/[0-9]*/frame.json"),
           run=_find_cameras, options=("preset.sfm_image_size", "preset.max_features"), inputs=_model),
     Stage(name="views", version=1, weight=0.03, files=(views_record.FILE_NAME, "undistorted/*"), run=_prepare_views,
           options=("image_size", "source_views"), load=_load_views),

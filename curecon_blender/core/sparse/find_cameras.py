@@ -18,6 +18,7 @@ from ..base.images import read_rgb
 from ..base.messages import Reporter
 from ..base.options import Options
 from ..base.records import Frame, Photo, PhotoSet
+from .calibrated import adjust_to_calibration
 from .features import FeatureSettings, extract_features, image_ids, missing_features, open_database
 from .matches import match_pairs, unmatched
 from .models import find_models, fit_to_photos, given_frame, listed, read_model, write_components
@@ -66,6 +67,9 @@ def reconstruct(photo_set: PhotoSet, options: Options, workspace: Path, reporter
     for index, model in enumerate(models):
         placement = place(model, by_name)
         model.transform(placement.site_from_model)
+        if adjust_to_calibration(model, by_name, placement.frame, reporter.check_cancelled):
+            placement = place(model, by_name)
+            model.transform(placement.site_from_model)
         _warn_of_gps(placement, model.num_reg_images(), index, reporter)
         _colour(model, by_name, settings.image_size, reporter)
         placed.append((model, placement.frame))

@@ -1,0 +1,178 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Bundle adjustment with all that is known: observations, positions, attitudes and lenses, each with its sigma.
+
+Gauss-Newton with Levenberg-Marquardt damping on the system reduced to photos and lenses (Triggs et al. 2000). COLMAP's
+adjustment knows positions only, and no prior of a lens.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.spatial.transform import Rotation
+
+from . import bundle_cpu
+from .bundle_cpu import LENS, POSE
+
+# f in pixels, fy / fx, cx, cy in pixels, and OpenCV's distortion.
+LENS_PARAMETERS = ("f", "aspect", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+MOST_STEPS = 60
+CONVERGED = 1e-5  # relative change of the cost
+_LEAST_SIGMA = 0.25  # pixels; no feature is found more exactly
+_CAUCHY = 2.0  # sigmas of a residual from where on it counts less and less
+_LEAST_DAMPING, _MOST_DAMPING = 1e-12, 1e6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bundle:
+    """Cameras and points with their observations, and what is known beforehand. World in metres, pixel centres at .5.
+
+    `rotations` (N,3,3) cam_from_world and `centres` (N,3) of the photos, `lens_of` (N,) the lens of each; `lenses`
+    (L,9) by LENS_PARAMETERS; `points` (P,3). Observations are sorted by point: `photo`, `point` (M,), `pixels` (M,2).
+
+    Known with its sigma, infinite where it is not: `positions` (N,3); `attitudes` (N,3,3) cam_from_world with one sigma
+    (N,) in radians; `known_lenses` (L,9).
+    """
+
+    rotations: np.ndarray
+    centres: np.ndarray
+    lens_of: np.ndarray
+    lenses: np.ndarray
+    points: np.ndarray
+    photo: np.ndarray
+    point: np.ndarray
+    pixels: np.ndarray
+    positions: np.ndarray
+    position_sigmas: np.ndarray
+    attitudes: np.ndarray
+    attitude_sigmas: np.ndarray
+    known_lenses: np.ndarray
+    lens_sigmas: np.ndarray
+
+    @property
+    def starts(self) -> np.ndarray:
+        """(P+1,) where each point's observations begin."""
+        return np.searchsorted(self.point, np.arange(len(self.points) + 1))
+
+    def residuals(self) -> np.ndarray:
+        """(M,2) pixels from each observation to where its point falls; infinite behind a camera."""
+        return np.asarray(bundle_cpu.residuals(
+            self.rotations, self.centres, self.lenses, self.lens_of, self.points, self.photo, self.point, self.pixels
+        ))
+
+
+def adjust(bundle: Bundle, progress: Callable[[], None] = lambda: None) -> Bundle:
+    """Adjust everything in a bundle. `progress` is called at each step, and may raise to end it.
+
+    Observations and positions count less the farther they are off (Cauchy), so that outliers do not pull; and no
+    position's sigma is taken for less than the residuals show it to be. Without positions the damping keeps the datum
+    where it is.
+    """
+    damping, steps = 1e-6, 0
+    stated = bundle.position_sigmas
+    bundle, sigma = _with_spread(bundle, stated), _robust_sigma(bundle)
+    cost = _cost(bundle, sigma)
+    while steps < MOST_STEPS and damping < _MOST_DAMPING:
+        progress()
+        steps += 1
+        system, gradient, blocks = _normal_equations(bundle, sigma, damping)
+        moved = _stepped(bundle, _solve(system, gradient, damping), blocks)
+        new_cost = _cost(moved, sigma)
+        if not new_cost < cost:
+            damping *= 10
+            continue
+        gain, bundle, damping = (cost - new_cost) / cost, moved, max(damping / 10, _LEAST_DAMPING)
+        if gain < CONVERGED:
+            break
+        bundle, sigma = _with_spread(bundle, stated), _robust_sigma(bundle)
+        cost = _cost(bundle, sigma)
+    return bundle
+
+
+def _with_spread(bundle: Bundle, stated: np.ndarray) -> Bundle:
+    """The bundle with its positions' sigmas no smaller than the residuals show them to be, heights apart from plan."""
+    off = np.abs(bundle.centres - bundle.positions)
+    plan, height = np.median(np.hypot(off[:, 0], off[:, 1])) / 1.1774, np.median(off[:, 2]) / 0.6745
+    return replace(bundle, position_sigmas=np.maximum(stated, np.array([plan, plan, height])))
+
+
+def _robust_sigma(bundle: Bundle) -> float:
+    """Of one coordinate of an observation, in pixels: from the median, since outliers are among them."""
+    off = np.abs(bundle.residuals())
+    # Points take up residuals: of an observation's two coordinates, those that are free remain.
+    free = 1 - 3 * len(bundle.points) / (2 * max(len(off), 1))
+    return max(1.4826 * float(np.median(off)) / np.sqrt(max(free, 0.1)), _LEAST_SIGMA)
+
+
+def _weights(off: np.ndarray) -> np.ndarray:
+    """Cauchy weights of distances (n,) in sigmas; 0 where infinite."""
+    return 1 / (1 + (off / _CAUCHY) ** 2)
+
+
+def _loss(off: np.ndarray) -> float:
+    """Cauchy's loss of distances (n,) in sigmas; a point behind a camera costs what one very far off does."""
+    return float(np.sum(_CAUCHY**2 * np.log1p((np.minimum(off, 1e6) / _CAUCHY) ** 2)))
+
+
+def _cost(bundle: Bundle, sigma: float) -> float:
+    observed = _loss(np.linalg.norm(bundle.residuals(), axis=1) / sigma)
+    positions = _loss(np.linalg.norm((bundle.centres - bundle.positions) / bundle.position_sigmas, axis=1))
+    attitudes = _loss(np.linalg.norm(_turns(bundle), axis=1) / bundle.attitude_sigmas)
+    lenses = float(np.sum(((bundle.lenses - bundle.known_lenses) / bundle.lens_sigmas) ** 2))
+    return observed + positions + attitudes + lenses
+
+
+def _turns(bundle: Bundle) -> np.ndarray:
+    """(N,3) the small rotation of camera coordinates from each known attitude to the photo's own, radians."""
+    return np.asarray(Rotation.from_matrix(bundle.rotations @ bundle.attitudes.transpose(0, 2, 1)).as_rotvec())
+
+
+def _normal_equations(
+    bundle: Bundle, sigma: float, damping: float
+) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """The reduced system (D,D), its gradient (D,), and what moving the points needs."""
+    photos, size = len(bundle.centres), POSE * len(bundle.centres) + LENS * len(bundle.lenses)
+    system, gradient = np.zeros((size, size)), np.zeros(size)
+    off = np.linalg.norm(bundle.residuals(), axis=1) / sigma
+    weights = np.where(np.isfinite(off), _weights(off) / sigma**2, 0.0)
+    blocks = bundle_cpu.reduce(
+        bundle.rotations, bundle.centres, bundle.lenses, bundle.lens_of, bundle.points, bundle.photo, bundle.starts,
+        bundle.pixels, weights, damping, system, gradient,
+    )
+    diagonal = np.zeros(size)
+    off = bundle.positions - bundle.centres
+    known = _weights(np.linalg.norm(off / bundle.position_sigmas, axis=1))[:, None] / bundle.position_sigmas**2
+    at = POSE * np.arange(photos)[:, None]
+    diagonal[at + [3, 4, 5]] += known
+    gradient[at + [3, 4, 5]] += known * off
+    turns = _turns(bundle)
+    known = _weights(np.linalg.norm(turns, axis=1) / bundle.attitude_sigmas) / bundle.attitude_sigmas**2
+    diagonal[at + [0, 1, 2]] += known[:, None]
+    gradient[at + [0, 1, 2]] -= known[:, None] * turns
+    known = 1 / bundle.lens_sigmas**2
+    diagonal[POSE * photos :] += known.ravel()
+    gradient[POSE * photos :] += (known * (bundle.known_lenses - bundle.lenses)).ravel()
+    system = np.tril(system) + np.tril(system, -1).T
+    system[np.diag_indices(size)] += diagonal
+    return system, gradient, blocks
+
+
+def _solve(system: np.ndarray, gradient: np.ndarray, damping: float) -> np.ndarray:
+    damped = system.copy()
+    # The second term holds what nothing determines, such as the datum where no position is known.
+    damped[np.diag_indices(len(system))] += damping * np.diag(system) + 1e-14 * np.diag(system).max()
+    return np.asarray(cho_solve(cho_factor(damped, overwrite_a=True), gradient))
+
+
+def _stepped(bundle: Bundle, step: np.ndarray, blocks: tuple[np.ndarray, np.ndarray, np.ndarray]) -> Bundle:
+    photos = len(bundle.centres)
+    poses, lenses = step[: POSE * photos].reshape(-1, POSE), step[POSE * photos :].reshape(-1, LENS)
+    moved = bundle_cpu.move_points(bundle.photo, bundle.lens_of, bundle.starts, photos, *blocks, step)
+    return replace(
+        bundle, rotations=Rotation.from_rotvec(poses[:, :3]).as_matrix() @ bundle.rotations,
+        centres=bundle.centres + poses[:, 3:], lenses=bundle.lenses + lenses, points=bundle.points + moved,
+    )

@@ -1,0 +1,113 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A flight straight down over flat ground: the maker's calibration and the GPS say what its photos cannot."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+
+from curecon_blender.core.base.geodesy import enu_to_geodetic
+from curecon_blender.core.base.records import Frame, GeoPosition, Lens, Photo
+from curecon_blender.core.sparse.bundle_cpu import residuals
+from curecon_blender.core.sparse.calibrated import adjust_to_calibration
+
+WIDTH, HEIGHT, ABOVE = 1600, 1200, 40.0
+LENS = Lens(f=1500.0, aspect=1.0, cx=795.0, cy=608.0, k1=-0.12, k2=0.05, p1=0.001, p2=-0.0005, k3=0.0)
+ORIGIN = GeoPosition(latitude=24.6, longitude=117.0, altitude=500.0)
+FRAME = Frame(scale="metres", up="gps", north=True, origin=ORIGIN)
+RTK = 0.02, 0.03
+
+
+def flight(*, rtk: bool = True) -> tuple[pycolmap.Reconstruction, dict[str, Photo], np.ndarray]:
+    """A model of 20 photos whose focal length, and so whose height, is a seventh too small, as a flight at one height
+    over flat ground may come out of the mapper; the photos with their metadata; and their true centres (20,3)."""
+    rng = np.random.default_rng(5)
+    across = np.stack(np.meshgrid(np.arange(5) * 9.0 - 18, np.arange(4) * 9.0 - 13.5), axis=-1).reshape(-1, 2)
+    centres = np.column_stack([across, np.full(len(across), ABOVE)])
+    turns = np.array([pycolmap.Rotation3d(rng.normal(0, 0.02, 3)).matrix() @ np.diag([1.0, -1.0, -1.0])
+                      for _ in centres])
+    points = np.column_stack([rng.uniform(-38, 38, (1500, 2)), rng.uniform(0, 0.3, 1500)])
+    lens = np.array([[getattr(LENS, name) for name in ("f", "aspect", "cx", "cy", "k1", "k2", "p1", "p2", "k3")]])
+    photo, point = np.repeat(np.arange(len(centres)), len(points)), np.tile(np.arange(len(points)), len(centres))
+    nowhere = np.zeros((len(photo), 2))
+    pixels = residuals(turns, centres, lens, np.zeros(len(centres), int), points, photo, point, nowhere)
+    seen = ((pixels > 0) & (pixels < [WIDTH, HEIGHT])).all(axis=1)
+    pixels = pixels + rng.normal(0, 0.4, pixels.shape)
+    sigmas = RTK if rtk else (1.5, 3.0)
+    places = enu_to_geodetic(centres + rng.normal(0, 1, centres.shape) * [sigmas[0], sigmas[0], sigmas[1]], ORIGIN)
+
+    model = pycolmap.Reconstruction()
+    low = 6 / 7
+    model.add_camera_with_trivial_rig(pycolmap.Camera(
+        camera_id=1, model="SIMPLE_RADIAL", width=WIDTH, height=HEIGHT,
+        params=[low * LENS.f, WIDTH / 2, HEIGHT / 2, low**2 * LENS.k1]))
+    photos, keypoints = {}, {}
+    for n, (centre, turn) in enumerate(zip(centres, turns, strict=True)):
+        mine = np.flatnonzero(seen & (photo == n))
+        keypoints |= {i: (n + 1, row) for row, i in enumerate(mine.tolist())}
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(turn), -turn @ (centre * [1, 1, low]))
+        name = f"{n:02}.jpg"
+        model.add_image_with_trivial_frame(pycolmap.Image(name, pixels[mine], 1, n + 1), pose)
+        photos[name] = Photo(
+            name=name, path=Path(name), width=WIDTH, height=HEIGHT, camera="c", focal_px=LENS.f, lens=LENS,
+            gps=GeoPosition(**dict(zip(("latitude", "longitude", "altitude"), places[n].tolist(), strict=True))),
+            gps_sigmas=RTK if rtk else None,
+        )
+    for p, place in enumerate(points):
+        track = pycolmap.Track()
+        for i in np.flatnonzero(seen & (point == p)).tolist():
+            track.add_element(*keypoints[i])
+        if track.length() >= 2:
+            model.add_point3D(place, track)
+    return model, photos, centres
+
+
+def height_above_ground(model: pycolmap.Reconstruction) -> tuple[float, float]:
+    """Metres from the ground to the cameras, and by how much the ground sags from the middle to 20 m from it."""
+    ground = np.array([point.xyz for point in model.points3D.values()])
+    centres = np.array([model.image(i).projection_center() for i in model.reg_image_ids()])
+    squared = (ground[:, :2] ** 2).sum(axis=1)
+    design = np.column_stack([np.ones(len(ground)), ground[:, :2], squared])
+    level, *_, bend = np.linalg.lstsq(design, ground[:, 2], rcond=None)[0]
+    return float(centres[:, 2].mean() - level), float(bend * 20**2)
+
+
+@pytest.mark.parametrize("rtk", [True, False])
+def test_heights_are_true_and_level_ground_is_level(rtk: bool) -> None:
+    model, photos, centres = flight(rtk=rtk)
+    assert adjust_to_calibration(model, photos, FRAME, lambda: None)
+    height, sag = height_above_ground(model)
+    assert height == pytest.approx(ABOVE, rel=0.01)
+    assert abs(sag) < 0.1
+    assert model.camera(1).focal_length_x == pytest.approx(LENS.f, rel=0.005)
+    found = np.array([model.image(i).projection_center() for i in model.reg_image_ids()])
+    assert np.abs(found - centres).mean() < (0.05 if rtk else 1.5)
+
+
+def test_one_wrong_position_does_not_pull() -> None:
+    model, photos, centres = flight()
+    gps = photos["07.jpg"].gps
+    assert gps is not None
+    photos["07.jpg"] = replace(photos["07.jpg"], gps=replace(gps, altitude=gps.altitude + 60))
+    adjust_to_calibration(model, photos, FRAME, lambda: None)
+    found = np.array([model.image(i).projection_center() for i in model.reg_image_ids()])
+    assert np.abs(found - centres).max() < 0.15
+
+
+@pytest.mark.parametrize("lacking", ["a lens", "GPS"])
+def test_without_calibration_or_gps_the_model_stays(lacking: str) -> None:
+    model, photos, _ = flight()
+    before = height_above_ground(model)
+    frame = FRAME
+    if lacking == "a lens":
+        photos["03.jpg"] = replace(photos["03.jpg"], lens=None)
+    else:
+        frame = Frame(scale="unknown", up="gravity")
+    assert not adjust_to_calibration(model, photos, frame, lambda: None)
+    assert height_above_ground(model) == before
+    assert model.camera(1).model_name == "SIMPLE_RADIAL"
