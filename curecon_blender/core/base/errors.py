@@ -91,9 +91,11 @@ class SurfaceError(CuReconError):
     kind = "surface"
 
 
-NO_MEMORY = re.compile(  # the many ways in which libraries say that memory could not be had
+# The many ways in which libraries say that memory could not be had; "primitive" is oneDNN's, whose code needs some too.
+NO_MEMORY = re.compile(
     r"out of memory|allocate memory|failed to allocate|insufficient memory|not enough memory|bad_alloc"
-    r"|start new thread|thread creation failed|failed to map segment", re.IGNORECASE
+    r"|start new thread|thread creation failed|failed to map segment"
+    r"|could not (create|execute) a (primitive|memory)", re.IGNORECASE
 )
 
 
