@@ -36,9 +36,10 @@ def arguments(photos: Path, workspace: Path, until: str) -> list[str]:
     return ["reconstruct", str(photos), "--workspace", str(workspace), *SMALL, "--until", until]
 
 
-def start(photos: Path, workspace: Path, until: str) -> Job:
+def start(photos: Path, workspace: Path, until: str, grace: float = 20.0) -> Job:
     """A worker as the add-on has it."""
-    return Job(arguments(photos, workspace, until), python=sys.executable, import_paths=[ROOT], workspace=workspace)
+    return Job(arguments(photos, workspace, until), python=sys.executable, import_paths=[ROOT], workspace=workspace,
+               grace=grace)
 
 
 def at_work(job: Job, stage: str) -> None:

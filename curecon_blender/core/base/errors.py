@@ -94,7 +94,7 @@ class SurfaceError(CuReconError):
 # The many ways in which libraries say that memory could not be had; "primitive" is oneDNN's, whose code needs some too.
 NO_MEMORY = re.compile(
     r"out of memory|allocate memory|failed to allocate|insufficient memory|not enough memory|bad_alloc"
-    r"|start new thread|thread creation failed|failed to map segment"
+    r"|start new thread|thread creation failed|resource temporarily unavailable|failed to map segment"
     r"|could not (create|execute) a (primitive|memory)", re.IGNORECASE
 )
 
