@@ -12,6 +12,7 @@ import pycolmap
 import pytest
 
 from curecon_blender.core.base.geodesy import enu_to_geodetic
+from curecon_blender.core.base.messages import Reporter, Warning
 from curecon_blender.core.base.records import Frame, GeoPosition, Lens, Photo
 from curecon_blender.core.sparse.bundle_cpu import residuals
 from curecon_blender.core.sparse.calibrated import adjust_to_calibration
@@ -23,9 +24,10 @@ FRAME = Frame(scale="metres", up="gps", north=True, origin=ORIGIN)
 RTK = 0.02, 0.03
 
 
-def flight(*, rtk: bool = True) -> tuple[pycolmap.Reconstruction, dict[str, Photo], np.ndarray]:
+def flight(*, rtk: bool = True, bent: bool = True) -> tuple[pycolmap.Reconstruction, dict[str, Photo], np.ndarray]:
     """A model of 20 photos whose focal length, and so whose height, is a seventh too small, as a flight at one height
-    over flat ground may come out of the mapper; the photos with their metadata; and their true centres (20,3)."""
+    over flat ground may come out of the mapper, or all of it true; the photos with their metadata; and their true
+    centres (20,3)."""
     rng = np.random.default_rng(5)
     across = np.stack(np.meshgrid(np.arange(5) * 9.0 - 18, np.arange(4) * 9.0 - 13.5), axis=-1).reshape(-1, 2)
     centres = np.column_stack([across, np.full(len(across), ABOVE)])
@@ -42,10 +44,11 @@ def flight(*, rtk: bool = True) -> tuple[pycolmap.Reconstruction, dict[str, Phot
     places = enu_to_geodetic(centres + rng.normal(0, 1, centres.shape) * [sigmas[0], sigmas[0], sigmas[1]], ORIGIN)
 
     model = pycolmap.Reconstruction()
-    low = 6 / 7
+    low = 6 / 7 if bent else 1.0
+    params = [low * LENS.f, WIDTH / 2, HEIGHT / 2, low**2 * LENS.k1] if bent else \
+        [LENS.f, LENS.f, LENS.cx, LENS.cy, LENS.k1, LENS.k2, LENS.p1, LENS.p2]
     model.add_camera_with_trivial_rig(pycolmap.Camera(
-        camera_id=1, model="SIMPLE_RADIAL", width=WIDTH, height=HEIGHT,
-        params=[low * LENS.f, WIDTH / 2, HEIGHT / 2, low**2 * LENS.k1]))
+        camera_id=1, model="SIMPLE_RADIAL" if bent else "OPENCV", width=WIDTH, height=HEIGHT, params=params))
     photos, keypoints = {}, {}
     for n, (centre, turn) in enumerate(zip(centres, turns, strict=True)):
         mine = np.flatnonzero(seen & (photo == n))
@@ -64,6 +67,7 @@ def flight(*, rtk: bool = True) -> tuple[pycolmap.Reconstruction, dict[str, Phot
             track.add_element(*keypoints[i])
         if track.length() >= 2:
             model.add_point3D(place, track)
+    model.update_point_3d_errors()
     return model, photos, centres
 
 
@@ -80,7 +84,7 @@ def height_above_ground(model: pycolmap.Reconstruction) -> tuple[float, float]:
 @pytest.mark.parametrize("rtk", [True, False])
 def test_heights_are_true_and_level_ground_is_level(rtk: bool) -> None:
     model, photos, centres = flight(rtk=rtk)
-    assert adjust_to_calibration(model, photos, FRAME, lambda: None)
+    assert adjust_to_calibration(model, photos, FRAME, Reporter())
     height, sag = height_above_ground(model)
     assert height == pytest.approx(ABOVE, rel=0.01)
     assert abs(sag) < 0.1
@@ -94,9 +98,29 @@ def test_one_wrong_position_does_not_pull() -> None:
     gps = photos["07.jpg"].gps
     assert gps is not None
     photos["07.jpg"] = replace(photos["07.jpg"], gps=replace(gps, altitude=gps.altitude + 60))
-    adjust_to_calibration(model, photos, FRAME, lambda: None)
+    adjust_to_calibration(model, photos, FRAME, Reporter())
     found = np.array([model.image(i).projection_center() for i in model.reg_image_ids()])
     assert np.abs(found - centres).max() < 0.15
+
+
+def test_photos_without_gps_among_others_do_not_count_as_far_off() -> None:
+    model, photos, centres = flight()
+    for name in list(photos)[::2] + list(photos)[1:4:2]:  # more than half
+        photos[name] = replace(photos[name], gps=None, gps_sigmas=None)
+    assert adjust_to_calibration(model, photos, FRAME, Reporter())
+    found = np.array([model.image(i).projection_center() for i in model.reg_image_ids()])
+    assert np.abs(found - centres).max() < 0.15
+
+
+@pytest.mark.parametrize("other", [{"k1": 2.0, "k2": -3.0, "k3": 3.0}, {"p1": 0.3}, {"cx": 1095.0, "cy": 408.0}])
+def test_another_cameras_calibration_is_told_and_not_used(other: dict[str, float]) -> None:
+    model, photos, _ = flight(bent=False)
+    before, told = height_above_ground(model), []
+    photos = {name: replace(photo, lens=replace(LENS, **other)) for name, photo in photos.items()}
+    reporter = Reporter(lambda message: told.append(message.text) if isinstance(message, Warning) else None)
+    assert not adjust_to_calibration(model, photos, FRAME, reporter)
+    assert "does not fit the photos" in told[0]
+    assert height_above_ground(model) == before
 
 
 @pytest.mark.parametrize("lacking", ["a lens", "GPS"])
@@ -108,6 +132,6 @@ def test_without_calibration_or_gps_the_model_stays(lacking: str) -> None:
         photos["03.jpg"] = replace(photos["03.jpg"], lens=None)
     else:
         frame = Frame(scale="unknown", up="gravity")
-    assert not adjust_to_calibration(model, photos, frame, lambda: None)
+    assert not adjust_to_calibration(model, photos, frame, Reporter())
     assert height_above_ground(model) == before
     assert model.camera(1).model_name == "SIMPLE_RADIAL"

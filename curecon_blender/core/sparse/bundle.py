@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.spatial.transform import Rotation
 
 from . import bundle_cpu
@@ -74,13 +74,18 @@ def adjust(bundle: Bundle, progress: Callable[[], None] = lambda: None) -> Bundl
     """
     damping, steps = 1e-6, 0
     stated = bundle.position_sigmas
-    bundle, sigma = _with_spread(bundle, stated), _robust_sigma(bundle)
+    bundle, sigma = _with_spread(bundle, stated), robust_sigma(bundle)
     cost = _cost(bundle, sigma)
     while steps < MOST_STEPS and damping < _MOST_DAMPING:
         progress()
         steps += 1
         system, gradient, blocks = _normal_equations(bundle, sigma, damping)
-        moved = _stepped(bundle, _solve(system, gradient, damping), blocks)
+        try:
+            step = _solve(system, gradient, damping)
+        except LinAlgError:  # not positive definite by rounding: more damping mends it
+            damping *= 10
+            continue
+        moved = _stepped(bundle, step, blocks)
         new_cost = _cost(moved, sigma)
         if not new_cost < cost:
             damping *= 10
@@ -88,19 +93,22 @@ def adjust(bundle: Bundle, progress: Callable[[], None] = lambda: None) -> Bundl
         gain, bundle, damping = (cost - new_cost) / cost, moved, max(damping / 10, _LEAST_DAMPING)
         if gain < CONVERGED:
             break
-        bundle, sigma = _with_spread(bundle, stated), _robust_sigma(bundle)
+        bundle, sigma = _with_spread(bundle, stated), robust_sigma(bundle)
         cost = _cost(bundle, sigma)
     return bundle
 
 
 def _with_spread(bundle: Bundle, stated: np.ndarray) -> Bundle:
     """The bundle with its positions' sigmas no smaller than the residuals show them to be, heights apart from plan."""
-    off = np.abs(bundle.centres - bundle.positions)
+    known = np.isfinite(stated).all(axis=1)
+    if not known.any():
+        return bundle
+    off = np.abs(bundle.centres - bundle.positions)[known]
     plan, height = np.median(np.hypot(off[:, 0], off[:, 1])) / 1.1774, np.median(off[:, 2]) / 0.6745
     return replace(bundle, position_sigmas=np.maximum(stated, np.array([plan, plan, height])))
 
 
-def _robust_sigma(bundle: Bundle) -> float:
+def robust_sigma(bundle: Bundle) -> float:
     """Of one coordinate of an observation, in pixels: from the median, since outliers are among them."""
     off = np.abs(bundle.residuals())
     # Points take up residuals: of an observation's two coordinates, those that are free remain.

@@ -10,7 +10,7 @@ from numba import njit
 POSE, LENS = 6, 9  # parameters of a photo (turn, centre) and of a lens (see bundle.LENS_PARAMETERS)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def project(
     rotation: np.ndarray, centre: np.ndarray, lens: np.ndarray, point: np.ndarray, pixel: np.ndarray,
     by_pose: np.ndarray, by_lens: np.ndarray, by_point: np.ndarray,
@@ -58,7 +58,7 @@ def project(
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def residuals(
     rotations: np.ndarray, centres: np.ndarray, lenses: np.ndarray, lens_of: np.ndarray, points: np.ndarray,
     photo: np.ndarray, point: np.ndarray, pixels: np.ndarray,
@@ -73,7 +73,7 @@ def residuals(
     return result
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def _inverse3(m: np.ndarray, out: np.ndarray) -> None:
     a, b, c, d, e, f = m[0, 0], m[0, 1], m[0, 2], m[1, 1], m[1, 2], m[2, 2]
     A, B, C = d * f - e * e, c * e - b * f, b * e - c * d
@@ -84,7 +84,7 @@ def _inverse3(m: np.ndarray, out: np.ndarray) -> None:
 
 
 # Long: one loop over the points; its small products are written out, since a call for each takes longer than it.
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def reduce(
     rotations: np.ndarray, centres: np.ndarray, lenses: np.ndarray, lens_of: np.ndarray, points: np.ndarray,
     photo: np.ndarray, starts: np.ndarray, pixels: np.ndarray, weights: np.ndarray, damping: float,
@@ -187,7 +187,7 @@ def reduce(
     return inverses, pulls, coupling
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def move_points(
     photo: np.ndarray, lens_of: np.ndarray, starts: np.ndarray, photos: int, inverses: np.ndarray, pulls: np.ndarray,
     coupling: np.ndarray, step: np.ndarray,

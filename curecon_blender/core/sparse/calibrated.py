@@ -8,7 +8,7 @@ distortion is not known: what it does not determine stays with what the maker me
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -16,9 +16,13 @@ import pycolmap
 
 from ..base import rotations
 from ..base.geodesy import geodetic_to_enu
+from ..base.messages import Reporter
 from ..base.records import Frame, Lens, Photo
 from .bundle import LENS_PARAMETERS, Bundle, adjust
 
+MOST_PHOTOS = 1500  # the reduced system is a full matrix: 0.7 GB, and some copies of it
+# Beyond these a calibration is not this camera's: times the mapper's reprojection error, sigmas of the focal length.
+WORSE, CONTRADICTED = 2.0, 5.0
 # Of a maker's calibration: focal length and centre as shares of the focal length and the width.
 _FOCAL_SIGMA, _CENTRE_SIGMA, _ASPECT_SIGMA = 0.003, 0.002, 0.001
 _DISTORTION_SIGMAS = {"k1": 0.01, "k2": 0.02, "p1": 0.0005, "p2": 0.0005, "k3": 0.02}
@@ -28,18 +32,37 @@ _HELD = 1e-9  # of a lens that is held fast
 
 
 def adjust_to_calibration(
-    model: pycolmap.Reconstruction, photos: Mapping[str, Photo], frame: Frame, progress: Callable[[], None]
+    model: pycolmap.Reconstruction, photos: Mapping[str, Photo], frame: Frame, reporter: Reporter
 ) -> bool:
-    """Adjust a model in the site frame, in place; False where nothing is to be had: the frame is not by GPS, or not
-    every lens was calibrated by its maker. Its cameras are FULL_OPENCV afterwards. `progress` may raise to end it."""
+    """Adjust a model in the site frame, in place. Its cameras are FULL_OPENCV afterwards.
+
+    False where the model stays: its frame is not by GPS, or not every lens was calibrated by its maker. The user is
+    told where a calibration does not fit the photos, or the photos are too many. Raises Cancelled.
+    """
     lenses = _calibrations(model, photos)
     if frame.origin is None or not frame.north or lenses is None:
         return False
-    bundle = _bundle(model, photos, frame, lenses)
+    if model.num_reg_images() > MOST_PHOTOS:
+        reporter.warning(
+            f"The maker's calibration of the camera is not used: that is for up to {MOST_PHOTOS:,} photos. Heights may "
+            "be wrong if all photos look straight down from one height."
+        )
+        return False
+    mapped = model.compute_mean_reprojection_error()
+    bundle, progress = _bundle(model, photos, frame, lenses), reporter.check_cancelled
     # First with the lens as calibrated, from where it puts the cameras: from a wrong focal length the way is long.
     held = adjust(replace(bundle, lens_sigmas=np.full_like(bundle.lens_sigmas, _HELD)), progress)
     freed = replace(held, lens_sigmas=bundle.lens_sigmas, position_sigmas=bundle.position_sigmas)
-    _write_back(adjust(freed, progress), model)
+    adjusted = adjust(freed, progress)
+    off = float(np.median(np.linalg.norm(adjusted.residuals(), axis=1)))
+    focal = np.abs(adjusted.lenses - bundle.known_lenses)[:, 0] / bundle.lens_sigmas[:, 0]
+    if not off < WORSE * mapped or focal.max() > CONTRADICTED:
+        reporter.warning(
+            "The maker's calibration of the camera does not fit the photos and is not used: it is another lens's, or "
+            "the pictures were edited. Heights may be wrong if all photos look straight down from one height."
+        )
+        return False
+    _write_back(adjusted, model)
     return True
 
 

@@ -67,7 +67,7 @@ def reconstruct(photo_set: PhotoSet, options: Options, workspace: Path, reporter
     for index, model in enumerate(models):
         placement = place(model, by_name)
         model.transform(placement.site_from_model)
-        if adjust_to_calibration(model, by_name, placement.frame, reporter.check_cancelled):
+        if adjust_to_calibration(model, by_name, placement.frame, reporter):
             placement = place(model, by_name)
             model.transform(placement.site_from_model)
         _warn_of_gps(placement, model.num_reg_images(), index, reporter)
