@@ -13,10 +13,10 @@ import cv2
 import numpy as np
 import pytest
 from little_photos import HEIGHT, WIDTH, check, exif, save, scene, sound_folder
-from PIL import Image
+from PIL import Image, ImageFile
 
 from curecon_blender.core.base import images
-from curecon_blender.core.base.errors import Cancelled, PhotoError
+from curecon_blender.core.base.errors import Cancelled, OutOfMemory, PhotoError
 from curecon_blender.core.base.messages import Message, Progress, Reporter
 from curecon_blender.core.base.options import Options
 from curecon_blender.core.photos.check import (
@@ -70,6 +70,16 @@ class TestFoldersThatCannotBeUsed:
         (folder / "DJI_1.JPG").write_text("this is no picture")
         with pytest.raises(PhotoError, match=r"only 2 usable photos.*DJI_1\.JPG is not a JPEG, PNG or TIFF picture"):
             check(folder)
+
+    def test_memory_that_all_photos_were_refused_is_not_blamed_on_them(
+        self, folder: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        def refuse(_: object) -> None:
+            raise OSError("out of memory error when reading image file")  # Pillow's word for it
+
+        monkeypatch.setattr(ImageFile.ImageFile, "load", refuse)
+        with pytest.raises(OutOfMemory):
+            check_photos(folder, Reporter())
 
 
 class TestBadPhotosAreLeftOut:

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from PIL import Image, ImageCms, UnidentifiedImageError
 
-from .errors import PhotoError
+from .errors import PhotoError, ran_out_of_memory
 from .files import atomic_write
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
@@ -41,6 +41,7 @@ _TRANSPOSITIONS = {
     8: Image.Transpose.ROTATE_90,
 }
 # What Pillow's decoders and tag readers raise on damaged files.
+NO_MEMORY_FOR = "There is not enough memory to read"
 _DAMAGE = (
     OSError, SyntaxError, ValueError, TypeError, KeyError, IndexError, EOFError, ArithmeticError, RuntimeError,
     struct.error, zlib.error,
@@ -172,12 +173,11 @@ def _photo_errors(path: Path) -> Iterator[None]:
             f"{shown(path)} is not a JPEG, PNG or TIFF picture.", remedy="Leave it out, or export it again as JPEG.",
             path=path,
         ) from error
-    except MemoryError as error:
-        raise PhotoError(
-            f"There is not enough memory to read {shown(path)}.", remedy="Close other programs, or scale it down.",
-            path=path,
-        ) from error
-    except _DAMAGE as error:
+    except (MemoryError, *_DAMAGE) as error:
+        if ran_out_of_memory(error):  # decoders tell it as damage, too
+            raise PhotoError(
+                f"{NO_MEMORY_FOR} {shown(path)}.", remedy="Close other programs, or scale it down.", path=path
+            ) from error
         raise PhotoError(
             f"{shown(path)} is damaged or cut short ({error}).",
             remedy="Copy it from the camera again, or leave it out.", path=path,

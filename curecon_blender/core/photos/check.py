@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 
 from ..base import images
-from ..base.errors import PhotoError
+from ..base.errors import OutOfMemory, PhotoError
 from ..base.files import JOB_FOLDERS, PRESENTATION
 from ..base.messages import Reporter
 from ..base.records import Photo, PhotoSet, SkippedPhoto
@@ -69,6 +69,8 @@ def check_photos(source: Path, reporter: Reporter, paths: list[Path] | None = No
     for skip in skipped:
         reporter.warning(f"Left out: {skip.reason}")
     if len(examined) < MIN_PHOTOS:
+        if any(skip.reason.startswith(images.NO_MEMORY_FOR) for skip in skipped):
+            raise OutOfMemory
         raise _too_few(source, len(examined), skipped)
     photos = _with_names(source, _with_sharpness(examined))
     for problem in ("blurred", "overexposed", "underexposed"):
