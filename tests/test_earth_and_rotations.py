@@ -8,7 +8,13 @@ import numpy as np
 import pycolmap
 import pytest
 
-from curecon_blender.core.base.geodesy import enu_to_geodetic, geodetic_to_enu
+from curecon_blender.core.base.geodesy import (
+    enu_to_geodetic,
+    geodetic_to_enu,
+    geodetic_to_utm,
+    utm_to_geodetic,
+    utm_zone,
+)
 from curecon_blender.core.base.records import GeoPosition, Gimbal
 from curecon_blender.core.base.rotations import between, from_gimbal, from_quaternion, to_quaternions
 
@@ -26,6 +32,20 @@ def test_geodesy_agrees_with_an_independent_implementation_and_inverts() -> None
     back = enu_to_geodetic(enu, SITE)
     assert back[:, :2] == pytest.approx(places[:, :2], abs=1e-9)
     assert back[:, 2] == pytest.approx(places[:, 2], abs=1e-4)
+
+
+@pytest.mark.parametrize("latitude", [-79.0, -33.9, -0.01, 0.01, 24.6, 51.5, 83.5])
+def test_utm_agrees_with_an_independent_implementation_and_inverts(latitude: float) -> None:
+    places = np.array([[latitude, longitude, 10.0] for longitude in (114.1, 116.9, 117.0, 119.9)])
+    assert {utm_zone(longitude) for longitude in places[:, 1]} == {50}
+    theirs, zone = pycolmap.GPSTransform(pycolmap.GPSTransformEllipsoid.WGS84).ellipsoid_to_utm(places)
+    assert zone == 50
+    theirs = np.array(theirs)
+    if latitude < 0 and theirs[0, 1] < 0:
+        theirs[:, 1] += 10_000_000
+    found = geodetic_to_utm(places[:, :2], 50, south=latitude < 0)
+    np.testing.assert_allclose(found, theirs[:, :2], atol=1e-4)
+    np.testing.assert_allclose(utm_to_geodetic(found, 50, south=latitude < 0), places[:, :2], atol=1e-11)
 
 
 def test_quaternions_become_rotations_and_come_back() -> None:

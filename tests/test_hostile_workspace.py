@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from hostile import change, refused
 
+from curecon_blender.core.adjust.control import read_control
 from curecon_blender.core.base import messages
 from curecon_blender.core.base.errors import WorkspaceError
 from curecon_blender.core.photos import capture
@@ -36,6 +37,7 @@ RECORDS: dict[str, Callable[[Path], object]] = {
     "sparse/0/frame.json": lambda folder: read_frame(folder / "sparse" / "0"),
     "sparse/0/adjustment.json": lambda folder: alignment.read(folder / "sparse" / "0"),
     "photos.json": read_photos,
+    "control.json": read_control,
     "workspace.json": lambda folder: Workspace(folder).__enter__(),
 }
 

@@ -15,7 +15,7 @@ import pytest
 from conftest import ROOT
 
 PACKAGE = "curecon_blender"
-FLOW = ("base", "photos", "sparse", "views", "network", "depth", "cloud", "surface", "texture")
+FLOW = ("base", "photos", "sparse", "adjust", "views", "network", "depth", "cloud", "surface", "texture")
 MAY_IMPORT = {room: FLOW[: place + 1] for place, room in enumerate(FLOW)}
 MAY_IMPORT |= {room: ("base", room) for room in ("site", "present")}
 MAY_IMPORT |= {"run": (*FLOW, "site", "run")}

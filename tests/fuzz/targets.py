@@ -24,6 +24,8 @@ from .photo_targets import check_picture, make_picture, picture_cases
 from .target import Target
 from .workspace_targets import (
     check_adjustment,
+    check_control,
+    check_control_file,
     check_frame,
     check_marker,
     check_message,
@@ -31,7 +33,9 @@ from .workspace_targets import (
     check_speeds,
     check_times,
     check_views,
+    control_cases,
     json_cases,
+    make_control_file,
     make_message,
     make_workspace,
     message_cases,
@@ -48,6 +52,8 @@ TARGETS = {
     "views": Target(make_workspace, json_cases("views.json"), check_views),
     "frame": Target(make_workspace, json_cases("sparse/0/frame.json"), check_frame),
     "adjustment": Target(make_workspace, json_cases("sparse/0/adjustment.json"), check_adjustment),
+    "control": Target(make_workspace, json_cases("control.json"), check_control),
+    "control_file": Target(make_control_file, control_cases, check_control_file),
     "photo_set": Target(make_workspace, json_cases("photos.json"), check_photo_set),
     "times": Target(make_workspace, json_cases("photos.json"), check_times),
     "workspace": Target(make_workspace, json_cases("workspace.json"), check_marker),

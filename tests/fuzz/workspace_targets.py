@@ -13,11 +13,12 @@ import numpy as np
 from hypothesis import strategies as st
 
 from .geometry_targets import some_view
-from .mutations import spoiled_json
+from .mutations import spoiled_bytes, spoiled_json, spoiled_words
 from .target import PHOTO
 
 
 def make_workspace(folder: Path) -> None:
+    from curecon_blender.core.adjust import control as points
     from curecon_blender.core.base.records import Component, Frame, GeoPosition, Gimbal, Photo, PhotoSet, SkippedPhoto
     from curecon_blender.core.photos.record import write_photos
     from curecon_blender.core.run.workspace import StageRecord, Workspace
@@ -35,6 +36,10 @@ def make_workspace(folder: Path) -> None:
     measured = alignment.Measured(kind="scale", value=4.2, how="a measured distance", when="2026-01-01T00:00:00",
                                   points=((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)), sigma=0.1)
     alignment.write(folder / "sparse" / "0", alignment.Adjustment(scale=2.0, measured=(measured,)))
+    point = points.ControlPoint(name="gcp1", system="WGS84", given=(24.6, 117.0, None), place=(24.6, 117.0, None))
+    position = points.PhotoPosition(photo=PHOTO, place=(24.6, 117.0, 530.0), sigma_plan=0.02, sigma_height=0.03)
+    control = points.ControlSet(points=(point,), positions=(position,))
+    points.write_control(folder, control.with_marks([points.Mark(point="gcp1", photo=PHOTO, x=10, y=20)]))
     photo = Photo(name=PHOTO, path=Path("/photos/1.jpg"), width=300, height=200, camera="DJI", focal_px=300.0,
                   gps=place, gimbal=Gimbal(yaw=1, pitch=-90, roll=0), relative_altitude=30.0, sharpness=1.0,
                   time="2026-01-01T00:00:00+08:00")
@@ -85,6 +90,54 @@ def check_adjustment(folder: Path) -> None:
     assert np.isfinite(np.linalg.inv(adjustment.matrix)).all()
     alignment.adjusted_frame(Frame(scale="unknown", up="given"), adjustment)
     alignment.from_json(alignment.to_json(adjustment))
+
+
+def check_control(folder: Path) -> None:
+    from curecon_blender.core.adjust import control as points
+    from curecon_blender.core.adjust.control_files import write_odm
+    from curecon_blender.core.base.records import GeoPosition
+    from curecon_blender.core.photos.record import read_photos
+
+    control = points.read_control(folder)
+    assert points.from_json(points.to_json(control)) == control
+    origin = None if control.is_local else GeoPosition(latitude=24.6, longitude=117.0, altitude=530.0)
+    assert np.isfinite(points.frame_positions(control.points, origin)).all()
+    photos = read_photos(folder).photos
+    points.check_places(points.resolved(control, photos, {})[0], photos, {})
+    write_odm(folder / "gcp_list.txt", control)
+
+
+CONTROL_TEXTS = (
+    "WGS84 UTM 50N\n500000.5 2720000 424.5 120 80 DJI_0001.JPG gcp1 role=check sigma=0.01/0.02\n",
+    "EPSG:4326\nDJI_0001.JPG 117.0 24.6 480 12 -90 0 0.02 0.03\n", "gcp1,24.6,117.0,530,0.02,0.03\nb,24.601,117,530\n",
+    "DJI_0001.JPG,gcp1,10,20,1\n", "name;east [m];north [m];height\na;1,5;2;3\nb;4;5;6,25\n",
+    '# CoordinateSystem: LOCAL_CS["m"]\n#Label,X/East,Y/North,Z/Altitude,Accuracy_(m)\n"p 1",1,2,3,0.005\n',
+)
+
+
+def make_control_file(folder: Path) -> None:
+    make_workspace(folder)
+    (folder / "points.csv").write_text(CONTROL_TEXTS[0])
+
+
+def control_cases(folder: Path) -> st.SearchStrategy[tuple[str, bytes]]:
+    return st.tuples(st.just("points.csv"), st.one_of(*[
+        spoiled(text.encode(encoding)) for text in CONTROL_TEXTS for encoding in ("utf-8", "utf-16")
+        for spoiled in (spoiled_bytes, spoiled_words)
+    ]))
+
+
+def check_control_file(folder: Path) -> None:
+    from curecon_blender.core.adjust import control as points
+    from curecon_blender.core.adjust.control_files import import_files
+    from curecon_blender.core.photos.record import read_photos
+
+    for photos in ((), read_photos(folder).photos):
+        control, said = import_files([folder / "points.csv"], points.read_control(folder), photos)
+        assert all(said)
+        points.write_control(folder, control)
+        assert points.read_control(folder) == control
+        (folder / points.CONTROL_FILE).unlink(missing_ok=True)
 
 
 def check_photo_set(folder: Path) -> None:

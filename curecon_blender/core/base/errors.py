@@ -91,6 +91,13 @@ class SurfaceError(CuReconError):
     kind = "surface"
 
 
+class ControlError(CuReconError):
+    """Control points cannot be used: a file that cannot be read, or points and marks that cannot belong to the site."""
+
+    exit_code = 12
+    kind = "control"
+
+
 # The many ways in which libraries say that memory could not be had; "primitive" is oneDNN's, whose code needs some too.
 NO_MEMORY = re.compile(
     r"out of memory|allocate memory|failed to allocate|insufficient memory|not enough memory|bad_alloc"

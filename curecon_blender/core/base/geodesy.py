@@ -11,7 +11,20 @@ import numpy as np
 from .records import UNKNOWN, GeoPosition, Photo
 
 _WGS84_A = 6378137.0
-_WGS84_E2 = (1 / 298.257223563) * (2 - 1 / 298.257223563)
+_FLATTENING = 1 / 298.257223563
+_WGS84_E2 = _FLATTENING * (2 - _FLATTENING)
+# Transverse Mercator by Krueger's series in the third flattening, whose error is below a micrometre within a UTM zone.
+_N = _FLATTENING / (2 - _FLATTENING)
+_RADIUS = _WGS84_A / (1 + _N) * (1 + _N**2 / 4 + _N**4 / 64)  # of the rectified meridian
+_TO_GRID = (
+    _N / 2 - 2 / 3 * _N**2 + 5 / 16 * _N**3 + 41 / 180 * _N**4, 13 / 48 * _N**2 - 3 / 5 * _N**3 + 557 / 1440 * _N**4,
+    61 / 240 * _N**3 - 103 / 140 * _N**4, 49561 / 161280 * _N**4,
+)
+_FROM_GRID = (
+    _N / 2 - 2 / 3 * _N**2 + 37 / 96 * _N**3 - 1 / 360 * _N**4, _N**2 / 48 + _N**3 / 15 - 437 / 1440 * _N**4,
+    17 / 480 * _N**3 - 37 / 840 * _N**4, 4397 / 161280 * _N**4,
+)
+_UTM_SCALE, _UTM_EASTING, _UTM_SOUTHING = 0.9996, 500_000.0, 10_000_000.0
 
 
 def geodetic_to_enu(positions: np.ndarray, origin: GeoPosition) -> np.ndarray:
@@ -50,6 +63,47 @@ def gps_enu(photos: Sequence[Photo]) -> tuple[np.ndarray, GeoPosition]:
         altitude_datum=data.pop() if len(data) == 1 else UNKNOWN,
     )
     return geodetic_to_enu(positions, origin), origin
+
+
+def utm_zone(longitude: float) -> int:
+    """The UTM zone, 1 to 60, of a longitude in degrees; the exceptions of Norway and Svalbard are not made."""
+    return int((longitude + 180) // 6) % 60 + 1
+
+
+def geodetic_to_utm(positions: np.ndarray, zone: int, *, south: bool) -> np.ndarray:
+    """(N,2) latitude and longitude in degrees on WGS84 -> (N,2) easting and northing in metres."""
+    latitude = np.radians(positions[:, 0])
+    longitude = np.radians(positions[:, 1] - (6 * zone - 183))
+    e = np.sqrt(_WGS84_E2)
+    conformal = np.sinh(np.arctanh(np.sin(latitude)) - e * np.arctanh(e * np.sin(latitude)))
+    xi = np.arctan2(conformal, np.cos(longitude))
+    eta = np.arcsinh(np.sin(longitude) / np.hypot(conformal, np.cos(longitude)))
+    north, east = _series(xi, eta, _TO_GRID)
+    return np.stack([
+        _UTM_EASTING + _UTM_SCALE * _RADIUS * east,
+        _UTM_SCALE * _RADIUS * north + (_UTM_SOUTHING if south else 0.0),
+    ], axis=1)
+
+
+def utm_to_geodetic(positions: np.ndarray, zone: int, *, south: bool) -> np.ndarray:
+    """The inverse of `geodetic_to_utm`."""
+    north = (positions[:, 1] - (_UTM_SOUTHING if south else 0.0)) / (_UTM_SCALE * _RADIUS)
+    east = (positions[:, 0] - _UTM_EASTING) / (_UTM_SCALE * _RADIUS)
+    xi, eta = _series(north, east, tuple(-term for term in _FROM_GRID))
+    isometric = np.arcsinh(np.sin(xi) / np.hypot(np.sinh(eta), np.cos(xi)))
+    e, latitude = np.sqrt(_WGS84_E2), np.arctan(np.sinh(isometric))
+    for _ in range(6):  # converges by a factor of about 150 a step
+        latitude = np.arctan(np.sinh(isometric + e * np.arctanh(e * np.sin(latitude))))
+    longitude = np.degrees(np.arctan2(np.sinh(eta), np.cos(xi))) + (6 * zone - 183)
+    return np.stack([np.degrees(latitude), (longitude + 180) % 360 - 180], axis=1)
+
+
+def _series(xi: np.ndarray, eta: np.ndarray, terms: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+    north, east = xi.copy(), eta.copy()
+    for j, term in enumerate(terms, start=1):
+        north += term * np.sin(2 * j * xi) * np.cosh(2 * j * eta)
+        east += term * np.cos(2 * j * xi) * np.sinh(2 * j * eta)
+    return north, east
 
 
 def _ecef(positions: np.ndarray) -> np.ndarray:

@@ -4,13 +4,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import asdict
 from pathlib import Path
 
 from ..base.errors import WorkspaceError
 from ..base.files import write_json
 from ..base.reading import build, read_json
-from ..base.records import PhotoSet
+from ..base.records import Photo, PhotoSet
 
 FILE_NAME = "photos.json"
 
@@ -41,3 +42,29 @@ def read_photos(workspace: Path) -> PhotoSet:
             f"{path} is damaged ({error}).", path=path,
             remedy=f"Delete the folder {workspace / 'stages'} and run Reconstruct again.",
         ) from error
+
+
+def photo_finder(photos: Iterable[Photo]) -> Callable[[str], Photo | None]:
+    """Finds the photo that a name in a model or a list means: by its path's end, its name in the job, whatever case.
+
+    A name that could mean several photos means none of them.
+    """
+    tables: list[dict[str, list[Photo]]] = [{}, {}, {}, {}]
+    for photo in photos:
+        parts = photo.path.as_posix().split("/")
+        for start in range(len(parts)):
+            tables[0].setdefault("/".join(parts[start:]), []).append(photo)
+        tables[1].setdefault(photo.name, []).append(photo)
+        tables[2].setdefault(photo.path.name, []).append(photo)
+        for name in {photo.name.casefold(), photo.path.name.casefold()}:
+            tables[3].setdefault(name, []).append(photo)
+
+    def find(name: str) -> Photo | None:
+        name = name.replace("\\", "/")
+        base = name.rsplit("/", 1)[-1]
+        for table, key in zip(tables, (name, name, base, base.casefold()), strict=True):
+            if len(table.get(key, ())) == 1:
+                return table[key][0]
+        return None
+
+    return find

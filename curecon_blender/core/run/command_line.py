@@ -19,6 +19,7 @@ EXIT_CODES = """exit codes:
   3  photos unusable          8  no point that enough views agree on
   4  cameras not found        9  a library is missing from this Python
  10  no mesh or no texture can be made     11  out of memory
+ 12  control points unusable
 130  cancelled
 """
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +18,7 @@ from ..base.images import MAX_PIXELS
 from ..base.messages import Reporter
 from ..base.reading import FARTHEST
 from ..base.records import Frame, Photo, PhotoSet
+from ..photos.record import photo_finder
 from .model_files import check_binary
 from .record import FILE_NAME as FRAME_FILE
 from .record import read_frame, write_frame
@@ -139,7 +139,7 @@ def fit_to_photos(
     Poses are kept exactly, and so are cameras, unless the photos have another resolution. Raises SparseError when
     fewer than three photos are left, or a photo's size contradicts its camera.
     """
-    find = _photo_finder(photo_set.photos)
+    find = photo_finder(photo_set.photos)
     matched: dict[int, Photo] = {}
     missing = []
     for image_id in sorted(model.reg_image_ids()):
@@ -164,32 +164,6 @@ def fit_to_photos(
     for image_id, photo in matched.items():
         model.image(image_id).name = photo.name
     return model
-
-
-def _photo_finder(photos: Iterable[Photo]) -> Callable[[str], Photo | None]:
-    """Finds the photo that an image name in a model means: by its path's end, its name in the job, whatever case.
-
-    A name that could mean several photos means none of them.
-    """
-    tables: list[dict[str, list[Photo]]] = [{}, {}, {}, {}]
-    for photo in photos:
-        parts = photo.path.as_posix().split("/")
-        for start in range(len(parts)):
-            tables[0].setdefault("/".join(parts[start:]), []).append(photo)
-        tables[1].setdefault(photo.name, []).append(photo)
-        tables[2].setdefault(photo.path.name, []).append(photo)
-        for name in {photo.name.casefold(), photo.path.name.casefold()}:
-            tables[3].setdefault(name, []).append(photo)
-
-    def find(name: str) -> Photo | None:
-        name = name.replace("\\", "/")
-        base = name.rsplit("/", 1)[-1]
-        for table, key in zip(tables, (name, name, base, base.casefold()), strict=True):
-            if len(table.get(key, ())) == 1:
-                return table[key][0]
-        return None
-
-    return find
 
 
 def _scale_to_photos(model: pycolmap.Reconstruction, matched: dict[int, Photo], folder: Path) -> None:
