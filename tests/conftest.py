@@ -101,11 +101,11 @@ def finished(site_photos: Path, made_once: MakeOnce[tuple[Path, Run]]) -> tuple[
 
 @pytest.fixture(scope="session")
 def textured(finished: tuple[Path, Run], site_photos: Path, made_once: MakeOnce[tuple[Path, Run]]) -> tuple[Path, Run]:
-    """All seven stages done: (workspace, run). Read only: `before` copies it."""
+    """All stages done: (workspace, run). Read only: `before` copies it."""
     def surfaced(folder: Path) -> tuple[Path, Run]:
         shutil.copytree(finished[0], folder, dirs_exist_ok=True)  # the cameras are the same
         run = curecon("reconstruct", site_photos, "--workspace", folder, *SMALL, "--until", "texture")
-        assert run.code == 0 and run.said.count("already done") == 2, run.said
+        assert run.code == 0 and run.said.count("already done") == 3, run.said
         return folder, run
 
     return made_once("textured", surfaced)

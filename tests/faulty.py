@@ -17,8 +17,8 @@ from curecon_blender.job import Job
 
 # What each stage makes; the feature database goes with the cameras.
 MADE = {
-    "photos": ["photos.json"], "sparse": ["sparse"], "views": ["views.json", "undistorted"], "depth": ["depth"],
-    "fusion": ["cloud.ply"], "mesh": ["mesh.ply"], "texture": ["textured"],
+    "photos": ["photos.json"], "sparse": ["sparse"], "adjust": ["sparse/0"], "views": ["views.json", "undistorted"],
+    "depth": ["depth"], "fusion": ["cloud.ply"], "mesh": ["mesh.ply"], "texture": ["textured"],
 }
 
 
@@ -29,7 +29,7 @@ def before(stage: str, textured: tuple[Path, Run], workspace: Path) -> None:
         (workspace / "stages" / f"{later}.json").unlink()
         for name in MADE[later]:
             path = workspace / name
-            shutil.rmtree(path) if path.is_dir() else path.unlink()
+            shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
 
 
 def arguments(photos: Path, workspace: Path, until: str) -> list[str]:

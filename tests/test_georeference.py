@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,7 @@ import pycolmap
 import pytest
 
 from curecon_blender.core.base.errors import WorkspaceError
+from curecon_blender.core.base.files import write_json
 from curecon_blender.core.base.geodesy import enu_to_geodetic, geodetic_to_enu, gps_enu
 from curecon_blender.core.base.records import Frame, GeoPosition, Gimbal, Photo
 from curecon_blender.core.base.rotations import from_gimbal
@@ -188,9 +189,9 @@ def test_up_without_gps_where_all_cameras_look_one_way(kind: str) -> None:
 
 def test_frame_record_survives_and_a_damaged_one_is_told(tmp_path: Path) -> None:
     frame = Frame(scale="metres", up="gps", north=True, origin=SITE, gps_residual=0.5, note="土楼")
-    record.write_frame(tmp_path, frame)
+    write_json(tmp_path / record.FRAME_FILE, asdict(frame))
     assert record.read_frame(tmp_path) == frame
-    (tmp_path / record.FILE_NAME).write_text("{", encoding="utf-8")
+    (tmp_path / record.FRAME_FILE).write_text("{", encoding="utf-8")
     with pytest.raises(WorkspaceError, match=r"frame\.json") as caught:
         record.read_frame(tmp_path)
     assert caught.value.remedy

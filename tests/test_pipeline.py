@@ -43,14 +43,14 @@ def test_every_stage_is_declared_once_in_the_order_of_the_flow() -> None:
 def test_a_new_version_of_a_stage_makes_it_and_what_follows_anew(
     options: Options, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert run(options) == ["photos", "sparse", "views", "depth", "fusion"]
+    assert run(options) == ["photos", "sparse", "adjust", "views", "depth", "fusion"]
     depth = next((options.workspace / "depth").glob("*.npz"))
     made = depth.stat().st_mtime_ns
     fusion = stages.STAGES["fusion"]
     monkeypatch.setitem(stages.STAGES, "fusion", replace(fusion, version=fusion.version + 1))
-    assert run(options) == ["photos", "sparse", "views", "depth"]
+    assert run(options) == ["photos", "sparse", "adjust", "views", "depth"]
     assert depth.stat().st_mtime_ns == made
-    assert run(options) == ["photos", "sparse", "views", "depth", "fusion"]
+    assert run(options) == ["photos", "sparse", "adjust", "views", "depth", "fusion"]
 
 
 def test_a_speed_that_cannot_be_kept_ends_no_job(options: Options, monkeypatch: pytest.MonkeyPatch) -> None:

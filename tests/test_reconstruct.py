@@ -47,7 +47,7 @@ def test_photos_become_a_coloured_cloud_in_metres(finished: tuple[Path, Run]) ->
     assert run.code == 0, run.said
     assert run.summary["photos"] == run.summary["registered"] == len(SITE_PHOTOS)
     assert run.summary["components"][0]["scale"] == "metres"
-    assert set(run.summary["seconds"]) == {"photos", "sparse", "views", "depth", "fusion"}
+    assert set(run.summary["seconds"]) == {"photos", "sparse", "adjust", "views", "depth", "fusion"}
     cloud = read_cloud(workspace / "cloud.ply")
     assert len(cloud) == run.summary["points"] > 10_000
     assert cloud.colours.std(axis=0).min() > 5  # a picture, not one colour
@@ -84,7 +84,7 @@ def test_a_second_run_does_nothing(finished: tuple[Path, Run], site_photos: Path
     before = times(workspace / "depth"), times(workspace), times(workspace / "sparse")
     again = curecon("reconstruct", site_photos, "--workspace", workspace, *QUICK)
     assert again.code == 0
-    assert again.said.count("already done") == 5
+    assert again.said.count("already done") == 6
     assert (times(workspace / "depth"), times(workspace), times(workspace / "sparse")) == before
     assert again.summary["points"] == first.summary["points"]
 
@@ -94,7 +94,7 @@ def test_a_fusion_option_runs_fusion_alone(finished: tuple[Path, Run], site_phot
     shutil.copytree(finished[0], workspace)
     before = times(workspace / "depth"), times(workspace / "undistorted")
     stricter = curecon("reconstruct", site_photos, "--workspace", workspace, *QUICK, "--min-views", 4)
-    assert stricter.said.count("already done") == 4
+    assert stricter.said.count("already done") == 5
     assert (times(workspace / "depth"), times(workspace / "undistorted")) == before
     assert 0 < stricter.summary["points"] < finished[1].summary["points"]
     assert read_cloud(workspace / "cloud.ply").views.min() >= 4

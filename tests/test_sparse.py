@@ -14,6 +14,7 @@ import numpy as np
 import pycolmap
 import pytest
 
+from curecon_blender.core.adjust.adjust import adjust_cameras
 from curecon_blender.core.base.errors import Cancelled, SparseError
 from curecon_blender.core.base.geodesy import enu_to_geodetic, geodetic_to_enu
 from curecon_blender.core.base.messages import Message, Progress, Reporter
@@ -91,6 +92,13 @@ def make_reporter(sink: Callable[[Message], None] = lambda message: None) -> Rep
     return reporter
 
 
+def reconstruct(photo_set: PhotoSet, options: Options, workspace: Path, reporter: Reporter) -> list[Frame]:
+    """Cameras found, and adjusted."""
+    find_cameras.reconstruct(photo_set, options, workspace, reporter)
+    reporter.stage("adjust")
+    return adjust_cameras(photo_set, workspace, reporter)
+
+
 def read(workspace: Path, index: int = 0) -> pycolmap.Reconstruction:
     return pycolmap.Reconstruction(workspace / "sparse" / str(index))
 
@@ -118,7 +126,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Site:
     photos[4] = replace(photos[4], gps=replace(gps, altitude=gps.altitude + 80))
     scene = replace(scene, photo_set=PhotoSet(photos=tuple(photos)))
     reporter = make_reporter()
-    frames = find_cameras.reconstruct(scene.photo_set, make_options(root), root, reporter)
+    frames = reconstruct(scene.photo_set, make_options(root), root, reporter)
     return Site(scene, root, frames, reporter.warnings)
 
 
@@ -151,7 +159,7 @@ def test_without_gps_z_is_up_and_the_scale_is_said_to_be_unknown(site: Site, tmp
     shutil.copytree(site.workspace / "sparse", tmp_path / "sparse")  # features are the same: only the mapper runs
     photos = tuple(replace(photo, gps=None) for photo in site.scene.photo_set.photos)
     reporter = make_reporter()
-    frames = find_cameras.reconstruct(PhotoSet(photos=photos), make_options(tmp_path), tmp_path, reporter)
+    frames = reconstruct(PhotoSet(photos=photos), make_options(tmp_path), tmp_path, reporter)
     assert (frames[0].scale, frames[0].up, frames[0].north) == ("unknown", "gravity", False)
     assert any("unknown" in warning for warning in reporter.warnings)
     image = read(tmp_path).image(min(read(tmp_path).reg_image_ids()))
@@ -169,7 +177,7 @@ def test_a_model_that_contradicts_its_gps_is_warned_of_with_figures(site: Site, 
         for photo, p in zip(site.scene.photo_set.photos, track.tolist(), strict=True)
     )
     reporter = make_reporter()
-    frames = find_cameras.reconstruct(PhotoSet(photos=photos), make_options(tmp_path), tmp_path, reporter)
+    frames = reconstruct(PhotoSet(photos=photos), make_options(tmp_path), tmp_path, reporter)
     assert frames[0].gps_residual is not None and frames[0].gps_residual > 5
     assert any(f"{frames[0].gps_residual:.1f} m (median)" in w and "bent" in w for w in reporter.warnings)
 
@@ -184,9 +192,10 @@ def test_separate_sites_become_components_and_a_cancelled_job_goes_on(tmp_path: 
     reporter = make_reporter(lambda message: first.append(message.done) if isinstance(message, Progress) else None)
     reporter.cancelled = lambda: len(first) >= 3
     with pytest.raises(Cancelled):
-        find_cameras.reconstruct(photo_set, make_options(tmp_path), tmp_path, reporter)
-    reporter = make_reporter(lambda message: second.append(message.done) if isinstance(message, Progress) else None)
-    frames = find_cameras.reconstruct(photo_set, make_options(tmp_path), tmp_path, reporter)
+        reconstruct(photo_set, make_options(tmp_path), tmp_path, reporter)
+    reporter = make_reporter(lambda message: second.append(message.done)
+                             if isinstance(message, Progress) and message.stage == "sparse" else None)
+    frames = reconstruct(photo_set, make_options(tmp_path), tmp_path, reporter)
     assert second[0] >= first[-1] > 0  # the bar stands where it stood
     assert second == sorted(second)
     assert len(frames) == 2
@@ -200,7 +209,7 @@ def test_photos_that_do_not_overlap(tmp_path: Path) -> None:
     groups = [make_scene(tmp_path / "photos", 1, seed=seed, prefix=str(seed)) for seed in (1, 2, 3)]
     photo_set = PhotoSet(photos=tuple(photo for group in groups for photo in group.photo_set.photos))
     with pytest.raises(SparseError, match="overlap") as caught:
-        find_cameras.reconstruct(photo_set, make_options(tmp_path), tmp_path, make_reporter())
+        reconstruct(photo_set, make_options(tmp_path), tmp_path, make_reporter())
     assert "share" in caught.value.remedy
     assert not (tmp_path / "sparse/0").exists()
 
@@ -222,7 +231,8 @@ def test_a_damaged_feature_database_is_started_afresh(site: Site, tmp_path: Path
 def import_model(folder: Path, photo_set: PhotoSet, workspace: Path) -> tuple[pycolmap.Reconstruction, list[str]]:
     reporter = make_reporter()
     workspace.mkdir(exist_ok=True)
-    frames = find_cameras.import_model(folder, photo_set, make_options(workspace), workspace, reporter)
+    find_cameras.import_model(folder, photo_set, make_options(workspace), workspace, reporter)
+    frames = adjust_cameras(photo_set, workspace, reporter)
     assert [frame.up for frame in frames] == ["given"]
     return read(workspace), reporter.warnings
 

@@ -26,8 +26,8 @@ REDRAW_SECONDS = 1.0
 # Returns the report for the user.
 Work = Generator[str | None, None, str]
 STAGE_NAMES = {
-    "photos": "Photos", "sparse": "Cameras", "views": "Undistorted photos", "depth": "Depth maps",
-    "fusion": "Point cloud", "mesh": "Mesh", "texture": "Texture",
+    "photos": "Photos", "sparse": "Cameras", "adjust": "Adjustment", "views": "Undistorted photos",
+    "depth": "Depth maps", "fusion": "Point cloud", "mesh": "Mesh", "texture": "Texture",
 }
 
 status = Status()

@@ -23,6 +23,7 @@ from .model_targets import check_weights, make_model, make_weights, model_cases,
 from .photo_targets import check_picture, make_picture, picture_cases
 from .target import Target
 from .workspace_targets import (
+    check_accuracy,
     check_adjustment,
     check_control,
     check_control_file,
@@ -51,6 +52,7 @@ TARGETS = {
     "points": Target(make_points, points_cases, check_points),
     "views": Target(make_workspace, json_cases("views.json"), check_views),
     "frame": Target(make_workspace, json_cases("sparse/0/frame.json"), check_frame),
+    "accuracy": Target(make_workspace, json_cases("sparse/0/accuracy.json"), check_accuracy),
     "adjustment": Target(make_workspace, json_cases("sparse/0/adjustment.json"), check_adjustment),
     "control": Target(make_workspace, json_cases("control.json"), check_control),
     "control_file": Target(make_control_file, control_cases, check_control_file),

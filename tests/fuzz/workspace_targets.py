@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,11 +19,13 @@ from .target import PHOTO
 
 def make_workspace(folder: Path) -> None:
     from curecon_blender.core.adjust import control as points
+    from curecon_blender.core.adjust.record import ACCURACY_FILE, Accuracy, PhotoResidual
+    from curecon_blender.core.base.files import write_json
     from curecon_blender.core.base.records import Component, Frame, GeoPosition, Gimbal, Photo, PhotoSet, SkippedPhoto
     from curecon_blender.core.photos.record import write_photos
     from curecon_blender.core.run.workspace import StageRecord, Workspace
     from curecon_blender.core.site import adjustment as alignment
-    from curecon_blender.core.sparse.record import write_frame
+    from curecon_blender.core.sparse.record import FRAME_FILE
     from curecon_blender.core.views import record as components
 
     place = GeoPosition(latitude=24.6, longitude=117.0, altitude=530.0)
@@ -32,7 +34,9 @@ def make_workspace(folder: Path) -> None:
     component = Component(index=0, sparse="sparse/0", cloud="cloud.ply", frame=frame, views=views)
     components.write(folder, [component])
     (folder / "sparse" / "0").mkdir(parents=True)
-    write_frame(folder / "sparse" / "0", frame)
+    write_json(folder / "sparse" / "0" / FRAME_FILE, asdict(frame))
+    accuracy = Accuracy(adjusted=True, reprojection_error=0.5, gps=(PhotoResidual(name=PHOTO, off=(0.1, 0.2, -0.1)),))
+    write_json(folder / "sparse" / "0" / ACCURACY_FILE, asdict(accuracy))
     measured = alignment.Measured(kind="scale", value=4.2, how="a measured distance", when="2026-01-01T00:00:00",
                                   points=((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)), sigma=0.1)
     alignment.write(folder / "sparse" / "0", alignment.Adjustment(scale=2.0, measured=(measured,)))
@@ -80,6 +84,13 @@ def check_frame(folder: Path) -> None:
     frame = read_frame(folder / "sparse" / "0")
     if frame.origin is not None:
         assert np.isfinite(enu_to_geodetic(np.zeros((1, 3)), frame.origin)).all()
+
+
+def check_accuracy(folder: Path) -> None:
+    from curecon_blender.core.adjust.record import read_accuracy
+
+    accuracy = read_accuracy(folder / "sparse" / "0")
+    assert all(np.isfinite(residual.off).all() for residual in accuracy.gps)
 
 
 def check_adjustment(folder: Path) -> None:

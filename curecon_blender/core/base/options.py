@@ -13,7 +13,7 @@ from dataclasses import Field, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-CLOUD_STAGES = ("photos", "sparse", "views", "depth", "fusion")
+CLOUD_STAGES = ("photos", "sparse", "adjust", "views", "depth", "fusion")
 SURFACE_STAGES = ("mesh", "texture")  # they need a finished cloud and nothing else
 STAGES = (*CLOUD_STAGES, *SURFACE_STAGES)
 QUALITIES = ("preview", "standard", "high", "ultra")

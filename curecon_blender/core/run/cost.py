@@ -47,6 +47,7 @@ FEATURE_BYTES_PER_PIXEL = 60  # of a photo's features, which the depth stage kee
 # Measured peaks of other stages: matching, per thread and square of the features (8192 of them: 1.2 GiB); features, per
 # thread and pixel; the mesh, per pixel of all depth maps together.
 MATCHING_BYTES, EXTRACTION_BYTES_PER_PIXEL, MESH_BYTES_PER_PIXEL = 19, 250, 140
+ADJUSTING_BYTES = 1 << 20  # of a photo's observations and their derivatives
 PIXELS_A_POINT = 11  # of all depth maps, for each point of the cloud
 _PROBE_CONVOLUTION, _PROBE_BLUR = 0.037, 0.013  # seconds of the probes on the reference
 
@@ -113,6 +114,7 @@ def reference_seconds(photos: tuple[Photo, ...], pairs: int, options: Options) -
     return {
         "photos": 0.02 * len(photos),
         "sparse": 1.8 * sparse_megapixels + 0.4 * features * pairs + 0.7 * len(photos),
+        "adjust": 0.4 * features * len(photos),
         "views": 0.1 * len(photos),
         "depth": megapixels * (1.0 + 0.059 * hypotheses) * (1 + 0.3 * sources) / 2.2,
         "fusion": 0.6 * megapixels,
@@ -204,6 +206,7 @@ def _peak_bytes(photos: tuple[Photo, ...], options: Options) -> dict[str, float]
     peaks = {
         "photos": readers * full,
         "sparse": max(readers * (full + picture), workers * MATCHING_BYTES * options.preset.max_features**2),
+        "adjust": len(photos) * ADJUSTING_BYTES,
         "views": 1.2 * full, "depth": tile + features, "fusion": fuse.peak_bytes(pixels, budget),
         "mesh": meshed * MESH_BYTES_PER_PIXEL, "texture": meshed * MESH_BYTES_PER_PIXEL / 2,
     }

@@ -16,6 +16,7 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
+from ..adjust.adjust import adjust_cameras
 from ..base.errors import PhotoError, SparseError, SurfaceError, WorkspaceError
 from ..base.files import scratch_folder
 from ..base.messages import Reporter
@@ -127,6 +128,13 @@ def _find_cameras(job: Job) -> None:
             find_cameras.import_model(job.options.model, job.photo_set, job.options, job.root, job.reporter)
         else:
             find_cameras.reconstruct(job.photo_set, job.options, job.root, job.reporter)
+
+
+# ---- adjust: the cameras in the site frame, adjusted with all that is known
+
+
+def _adjust(job: Job) -> None:
+    adjust_cameras(job.photo_set, job.root, job.reporter)
 
 
 # ---- views: undistorted photos with their sources
@@ -255,8 +263,10 @@ DEPTH = Stage(
 STAGES = {stage.name: stage for stage in (
     Stage(name="photos", version=2, weight=0.02, files=(photos_record.FILE_NAME,), run=_check, inputs=_photo_files,
           load=_load_photos),
-    Stage(name="sparse", version=2, weight=0.2, files=("sparse/[0-9]*/*.bin", "sparse/[0-9]*/frame.json"),
-          run=_find_cameras, options=("preset.sfm_image_size", "preset.max_features"), inputs=_model),
+    Stage(name="sparse", version=3, weight=0.2, files=("sparse/mapped/[0-9]*/*",), run=_find_cameras,
+          options=("preset.sfm_image_size", "preset.max_features"), inputs=_model),
+    Stage(name="adjust", version=1, weight=0.02, run=_adjust,
+          files=("sparse/[0-9]*/*.bin", "sparse/[0-9]*/frame.json", "sparse/[0-9]*/accuracy.json")),
     Stage(name="views", version=1, weight=0.03, files=(views_record.FILE_NAME, "undistorted/*"), run=_prepare_views,
           options=("image_size", "source_views"), load=_load_views),
     DEPTH,

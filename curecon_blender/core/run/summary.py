@@ -10,6 +10,7 @@ from typing import Any
 
 from ..base.options import SURFACE_STAGES
 from ..cloud.ply import point_count
+from ..sparse.models import MAPPED
 from ..surface.mesh import filled_share, mesh_file, read_mesh, textured_folder
 from ..views import record as views_record
 from .stages import Job
@@ -26,7 +27,7 @@ def summarise(job: Job, stages: Sequence[str]) -> dict[str, Any]:
     return {
         "photos": len(job.photo_set.photos),
         "skipped": [{"path": str(skipped.path), "reason": skipped.reason} for skipped in job.photo_set.skipped],
-        "registered": sum(_registered(root / "sparse")) if (root / "sparse").is_dir() else 0,
+        "registered": sum(_registered(root / MAPPED)) if (root / MAPPED).is_dir() else 0,
         "components": [
             {"index": component.index, "photos": len(component.views), "scale": frame.scale, "up": frame.up,
              "gps_residual": frame.gps_residual, "note": frame.note, "points": point_count(root / component.cloud)}
@@ -53,6 +54,6 @@ def _surface(root: Path, index: int) -> dict[str, Any]:
             "filled_share": round(filled_share([mesh]), 4), "textured": textured.exists()}
 
 
-def _registered(sparse: Path) -> list[int]:
+def _registered(mapped: Path) -> list[int]:
     """Registered photos of each component: the count that a binary COLMAP model's images begin with."""
-    return [int.from_bytes(file.read_bytes()[:8], "little") for file in sorted(sparse.glob("[0-9]*/images.bin"))]
+    return [int.from_bytes(file.read_bytes()[:8], "little") for file in sorted(mapped.glob("[0-9]*/images.bin"))]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The sparse stage: photos in, cameras and sparse points out, one COLMAP model a component, in the site frame."""
+"""The sparse stage: photos in, cameras and sparse points out, one COLMAP model a component, in the mapper's frame."""
 
 from __future__ import annotations
 
@@ -17,30 +17,27 @@ from ..base.files import scratch_folder
 from ..base.images import read_rgb
 from ..base.messages import Reporter
 from ..base.options import Options
-from ..base.records import Frame, Photo, PhotoSet
-from .calibrated import adjust_to_calibration
+from ..base.records import Photo, PhotoSet
 from .features import FeatureSettings, extract_features, image_ids, missing_features, open_database
 from .matches import match_pairs, unmatched
-from .models import find_models, fit_to_photos, given_frame, listed, read_model, write_components
+from .models import MAPPED, find_models, fit_to_photos, given_frame, listed, read_model, write_components
 from .pairs import Pair, expected_pairs, metadata_pairs, near_pairs, needs_retrieval, similar_pairs
 from .parallel import threads
-from .placement import Placement, place
+from .record import FRAME_FILE
 
 INCREMENTAL = 300  # photos; up to here "auto" takes the incremental mapper, which is the more robust
 SMALLEST = 3  # photos in a component
-BENT = 5.0  # metres; a larger median distance from GPS is more than GPS errs by
-CONTRADICTS = 15.0, 10.0  # metres, times the median: a photo farther than both from its GPS is named
 
 # Rough seconds a photo or a pair takes, for progress and remaining time: their ratios matter, not their size.
 _FEATURE_COST, _PAIR_COST, _MAPPING_COST = 2.0, 0.4, 3.0
 
 
-def reconstruct(photo_set: PhotoSet, options: Options, workspace: Path, reporter: Reporter) -> list[Frame]:
-    """Find the cameras of the photos; write each component to `workspace/sparse/N`, largest first.
+def reconstruct(photo_set: PhotoSet, options: Options, workspace: Path, reporter: Reporter) -> None:
+    """Find the cameras of the photos; write each component to `workspace/sparse/mapped/N`, largest first.
 
-    Returns the components' frames. Features and matches are kept in `workspace/sparse/features.db` as they are
-    found. Photos that could not be placed, several components and GPS that contradicts the cameras are warned of.
-    Raises SparseError when no three photos could be joined, Cancelled, WorkspaceError.
+    Features and matches are kept in `workspace/sparse/features.db` as they are found. Photos that could not be placed
+    and several components are warned of. Raises SparseError when no three photos could be joined, Cancelled,
+    WorkspaceError.
     """
     _quiet()
     photos = photo_set.photos
@@ -61,27 +58,18 @@ def reconstruct(photo_set: PhotoSet, options: Options, workspace: Path, reporter
             remedy="Take photos that share at least two thirds of their view with the next one, of a subject with "
                    "texture, and leave out blurred ones.",
         )
-    by_name = {photo.name: photo for photo in photos}
     _warn_of_gaps(models, photos, reporter)
-    placed = []
-    for index, model in enumerate(models):
-        placement = place(model, by_name)
-        model.transform(placement.site_from_model)
-        if adjust_to_calibration(model, by_name, placement.frame, reporter):
-            placement = place(model, by_name)
-            model.transform(placement.site_from_model)
-        _warn_of_gps(placement, model.num_reg_images(), index, reporter)
+    by_name = {photo.name: photo for photo in photos}
+    for model in models:
         _colour(model, by_name, settings.image_size, reporter)
-        placed.append((model, placement.frame))
-    write_components(workspace, placed)
+    write_components(workspace, MAPPED, [(model, {}) for model in models])
     meter.finish()
-    return [frame for _, frame in placed]
 
 
 def import_model(
     model_dir: Path, photo_set: PhotoSet, options: Options, workspace: Path, reporter: Reporter
-) -> list[Frame]:
-    """Take a COLMAP model in place of the sparse stage: cameras and frame exactly as they are.
+) -> None:
+    """Take a COLMAP model in place of the mapper's: cameras exactly as they are, with the record of their frame.
 
     A model without points gets points triangulated from its cameras, since source views and depth ranges need them.
     Raises SparseError when it is malformed or does not fit the photos.
@@ -92,15 +80,14 @@ def import_model(
         model = fit_to_photos(read_model(folder), photo_set, folder, reporter)
         if model.num_points3D() == 0:
             model = _triangulate(model, photo_set, options, workspace, reporter)
-        components.append((model, given_frame(folder)))
+        components.append((model, {FRAME_FILE: given_frame(folder)}))
     unused = {photo.name for photo in photo_set.photos}
     for model, _ in components:
         unused -= {model.image(i).name for i in model.reg_image_ids()}
     if unused:
         reporter.warning(f"{len(unused)} photos are not in the model: {listed(sorted(unused))}.")
     components.sort(key=lambda component: -component[0].num_reg_images())
-    write_components(workspace, components)
-    return [frame for _, frame in components]
+    write_components(workspace, MAPPED, components)
 
 
 def _quiet() -> None:
@@ -263,29 +250,6 @@ def _warn_of_gaps(models: list[pycolmap.Reconstruction], photos: tuple[Photo, ..
         reporter.warning(
             f"The photos fall into {len(models)} separate parts ({sizes} photos) that could not be joined: each is "
             "reconstructed on its own. Photos that overlap both parts would join them."
-        )
-
-
-def _warn_of_gps(placement: Placement, photos: int, index: int, reporter: Reporter) -> None:
-    part = "" if index == 0 else f" of part {index + 1}"
-    if placement.frame.scale == "unknown":
-        reporter.warning(f"Placement{part}: {placement.frame.note}")
-        return
-    residual = placement.frame.gps_residual or 0.0
-    if residual > BENT:
-        reporter.warning(
-            f"The camera positions{part} lie {residual:.1f} m (median) and up to "
-            f"{max(placement.gps_residuals.values()):.1f} m from the GPS of their {photos} photos: the model may be "
-            "bent, or the GPS poor. Do not trust measurements; photos from more heights and directions help."
-        )
-    far = [
-        f"{name} ({distance:.0f} m)" for name, distance in sorted(placement.gps_residuals.items(), key=lambda x: -x[1])
-        if distance > CONTRADICTS[0] and distance > CONTRADICTS[1] * residual
-    ]
-    if far:
-        reporter.warning(
-            f"{len(far)} of {photos} photos lie far from their GPS, against a median of {residual:.1f} m: "
-            f"{listed(far)}. Their GPS is wrong, or they were joined to the wrong place: check them."
         )
 
 

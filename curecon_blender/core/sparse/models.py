@@ -7,24 +7,26 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pycolmap
 
 from ..base.errors import SparseError, WorkspaceError
-from ..base.files import disk_errors, partial_path
+from ..base.files import disk_errors, partial_path, write_json
 from ..base.images import MAX_PIXELS
 from ..base.messages import Reporter
 from ..base.reading import FARTHEST
 from ..base.records import Frame, Photo, PhotoSet
 from ..photos.record import photo_finder
 from .model_files import check_binary
-from .record import FILE_NAME as FRAME_FILE
-from .record import read_frame, write_frame
+from .record import FRAME_FILE, read_frame
 
 # What pycolmap raises on malformed files.
 _READ_ERRORS = (ValueError, LookupError, RuntimeError, MemoryError, TypeError, ArithmeticError, OSError)
+MAPPED, ADJUSTED = "sparse/mapped", "sparse"  # places of components in a workspace: as mapped, in the site frame
 SIZE_TOLERANCE = 0.01  # relative difference of aspect ratios that rounding to whole pixels can make
 
 
@@ -192,23 +194,29 @@ def _scale_to_photos(model: pycolmap.Reconstruction, matched: dict[int, Photo], 
     model.update_point_3d_errors()
 
 
-def write_components(workspace: Path, components: list[tuple[pycolmap.Reconstruction, Frame]]) -> None:
-    """Put the components in place of the workspace's `sparse/0`, `sparse/1`..., each folder all or nothing."""
-    sparse = workspace / "sparse"
-    with disk_errors(sparse):
-        sparse.mkdir(exist_ok=True)
-        for index, (model, frame) in enumerate(components):
-            partial = partial_path(sparse / str(index))
+def write_components(
+    workspace: Path, place: str, components: list[tuple[pycolmap.Reconstruction, dict[str, Any]]]
+) -> None:
+    """Put the components in place of `workspace/place/0`, `1`..., each folder all or nothing: a model, and records by
+    the name of their JSON file."""
+    folder = workspace
+    with disk_errors(folder / place):
+        for part in place.split("/"):
+            folder = folder / part
+            folder.mkdir(exist_ok=True)
+        for index, (model, records) in enumerate(components):
+            partial = partial_path(folder / str(index))
             shutil.rmtree(partial, ignore_errors=True)
             partial.mkdir()
             model.write_binary(partial)
             _check_written(model, partial)
-            write_frame(partial, frame)
-        for old in sparse.iterdir():
+            for name, record in records.items():
+                write_json(partial / name, asdict(record))
+        for old in folder.iterdir():
             if old.name.isdigit():
                 shutil.rmtree(old)
         for index in range(len(components)):
-            os.replace(partial_path(sparse / str(index)), sparse / str(index))
+            os.replace(partial_path(folder / str(index)), folder / str(index))
 
 
 def _check_written(model: pycolmap.Reconstruction, folder: Path) -> None:

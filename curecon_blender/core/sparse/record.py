@@ -4,25 +4,18 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 
 from ..base.errors import WorkspaceError
-from ..base.files import write_json
 from ..base.reading import build, read_json
 from ..base.records import Frame
 
-FILE_NAME = "frame.json"
-
-
-def write_frame(folder: Path, frame: Frame) -> None:
-    """Write the frame's record into a component's folder (atomically). Raises WorkspaceError."""
-    write_json(folder / FILE_NAME, asdict(frame))
+FRAME_FILE = "frame.json"
 
 
 def read_frame(folder: Path) -> Frame:
-    """The record that `write_frame` left in a component's folder. Raises WorkspaceError when missing or damaged."""
-    path = folder / FILE_NAME
+    """The record in a component's folder. Raises WorkspaceError when missing or damaged."""
+    path = folder / FRAME_FILE
     try:
         frame: Frame = build(Frame, read_json(path))
         return frame

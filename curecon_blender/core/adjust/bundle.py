@@ -9,7 +9,7 @@ adjustment knows positions only, and no prior of a lens.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
@@ -24,6 +24,7 @@ MOST_STEPS = 60
 CONVERGED = 1e-5  # relative change of the cost
 _LEAST_SIGMA = 0.25  # pixels; no feature is found more exactly
 _CAUCHY = 2.0  # sigmas of a residual from where on it counts less and less
+_EASE = 5.0  # by which control's sigmas fall from step to step until they are as stated
 _LEAST_DAMPING, _MOST_DAMPING = 1e-12, 1e6
 
 
@@ -35,7 +36,9 @@ class Bundle:
     (L,9) by LENS_PARAMETERS; `points` (P,3). Observations are sorted by point: `photo`, `point` (M,), `pixels` (M,2).
 
     Known with its sigma, infinite where it is not: `positions` (N,3); `attitudes` (N,3,3) cam_from_world with one sigma
-    (N,) in radians; `known_lenses` (L,9).
+    (N,) in radians; `known_lenses` (L,9). Control: `control` (C,) are the numbers of points whose place is known,
+    `control_positions` and `control_sigmas` (C,3); their marks are observations like others. `observation_sigmas` (M,)
+    in pixels are of one coordinate; nan, or the field None, where the residuals tell.
     """
 
     rotations: np.ndarray
@@ -52,11 +55,25 @@ class Bundle:
     attitude_sigmas: np.ndarray
     known_lenses: np.ndarray
     lens_sigmas: np.ndarray
+    control: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+    control_positions: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    control_sigmas: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    observation_sigmas: np.ndarray | None = None
 
     @property
     def starts(self) -> np.ndarray:
         """(P+1,) where each point's observations begin."""
         return np.searchsorted(self.point, np.arange(len(self.points) + 1))
+
+    @property
+    def control_off(self) -> np.ndarray:
+        """(C,3) metres from each control point to where it is known to lie."""
+        return self.control_positions - self.points[self.control]
+
+    def sigmas(self) -> np.ndarray:
+        """(M,) of one coordinate of each observation, pixels."""
+        told = np.full(len(self.photo), np.nan) if self.observation_sigmas is None else self.observation_sigmas
+        return np.where(np.isnan(told), robust_sigma(self), told)
 
     def residuals(self) -> np.ndarray:
         """(M,2) pixels from each observation to where its point falls; infinite behind a camera."""
@@ -69,48 +86,54 @@ def adjust(bundle: Bundle, progress: Callable[[], None] = lambda: None) -> Bundl
     """Adjust everything in a bundle. `progress` is called at each step, and may raise to end it.
 
     Observations and positions count less the farther they are off (Cauchy), so that outliers do not pull; and no
-    position's sigma is taken for less than the residuals show it to be. Without positions the damping keeps the datum
-    where it is.
+    position's sigma is taken for less than the residuals show it to be. Control pulls harder from step to step, or its
+    points would go alone and leave their marks behind. Without positions the damping keeps the datum where it is.
     """
     damping, steps = 1e-6, 0
-    stated = bundle.position_sigmas
-    bundle, sigma = _with_spread(bundle, stated), robust_sigma(bundle)
-    cost = _cost(bundle, sigma)
+    stated, ease = bundle, float(np.abs(bundle.control_off).max(initial=0.0))
+    bundle, sigmas = _weighed(bundle, stated, ease), bundle.sigmas()
+    cost = _cost(bundle, sigmas)
     while steps < MOST_STEPS and damping < _MOST_DAMPING:
         progress()
         steps += 1
-        system, gradient, blocks = _normal_equations(bundle, sigma, damping)
+        system, gradient, blocks = _normal_equations(bundle, sigmas, damping)
         try:
             step = _solve(system, gradient, damping)
         except LinAlgError:  # not positive definite by rounding: more damping mends it
             damping *= 10
             continue
         moved = _stepped(bundle, step, blocks)
-        new_cost = _cost(moved, sigma)
+        new_cost = _cost(moved, sigmas)
         if not new_cost < cost:
             damping *= 10
             continue
         gain, bundle, damping = (cost - new_cost) / cost, moved, max(damping / 10, _LEAST_DAMPING)
-        if gain < CONVERGED:
+        if gain < CONVERGED and not (ease > stated.control_sigmas).any():
             break
-        bundle, sigma = _with_spread(bundle, stated), robust_sigma(bundle)
-        cost = _cost(bundle, sigma)
+        ease /= _EASE
+        bundle, sigmas = _weighed(bundle, stated, ease), bundle.sigmas()
+        cost = _cost(bundle, sigmas)
     return bundle
 
 
-def _with_spread(bundle: Bundle, stated: np.ndarray) -> Bundle:
-    """The bundle with its positions' sigmas no smaller than the residuals show them to be, heights apart from plan."""
-    known = np.isfinite(stated).all(axis=1)
+def _weighed(bundle: Bundle, stated: Bundle, ease: float) -> Bundle:
+    """The bundle with its positions' sigmas no smaller than the residuals show them to be, heights apart from plan, and
+    those of its control no smaller than `ease` metres."""
+    bundle = replace(bundle, control_sigmas=np.maximum(stated.control_sigmas, ease))
+    known = np.isfinite(stated.position_sigmas).all(axis=1)
     if not known.any():
         return bundle
     off = np.abs(bundle.centres - bundle.positions)[known]
     plan, height = np.median(np.hypot(off[:, 0], off[:, 1])) / 1.1774, np.median(off[:, 2]) / 0.6745
-    return replace(bundle, position_sigmas=np.maximum(stated, np.array([plan, plan, height])))
+    return replace(bundle, position_sigmas=np.maximum(stated.position_sigmas, np.array([plan, plan, height])))
 
 
 def robust_sigma(bundle: Bundle) -> float:
-    """Of one coordinate of an observation, in pixels: from the median, since outliers are among them."""
+    """Of one coordinate of an observation whose sigma is not told, in pixels: from the median, since outliers are among
+    them."""
     off = np.abs(bundle.residuals())
+    if bundle.observation_sigmas is not None:
+        off = off[np.isnan(bundle.observation_sigmas)]
     # Points take up residuals: of an observation's two coordinates, those that are free remain.
     free = 1 - 3 * len(bundle.points) / (2 * max(len(off), 1))
     return max(1.4826 * float(np.median(off)) / np.sqrt(max(free, 0.1)), _LEAST_SIGMA)
@@ -126,12 +149,13 @@ def _loss(off: np.ndarray) -> float:
     return float(np.sum(_CAUCHY**2 * np.log1p((np.minimum(off, 1e6) / _CAUCHY) ** 2)))
 
 
-def _cost(bundle: Bundle, sigma: float) -> float:
-    observed = _loss(np.linalg.norm(bundle.residuals(), axis=1) / sigma)
+def _cost(bundle: Bundle, sigmas: np.ndarray) -> float:
+    observed = _loss(np.linalg.norm(bundle.residuals(), axis=1) / sigmas)
     positions = _loss(np.linalg.norm((bundle.centres - bundle.positions) / bundle.position_sigmas, axis=1))
     attitudes = _loss(np.linalg.norm(_turns(bundle), axis=1) / bundle.attitude_sigmas)
     lenses = float(np.sum(((bundle.lenses - bundle.known_lenses) / bundle.lens_sigmas) ** 2))
-    return observed + positions + attitudes + lenses
+    control = float(np.sum((bundle.control_off / bundle.control_sigmas) ** 2))
+    return observed + positions + attitudes + lenses + control
 
 
 def _turns(bundle: Bundle) -> np.ndarray:
@@ -140,16 +164,18 @@ def _turns(bundle: Bundle) -> np.ndarray:
 
 
 def _normal_equations(
-    bundle: Bundle, sigma: float, damping: float
+    bundle: Bundle, sigmas: np.ndarray, damping: float
 ) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """The reduced system (D,D), its gradient (D,), and what moving the points needs."""
     photos, size = len(bundle.centres), POSE * len(bundle.centres) + LENS * len(bundle.lenses)
     system, gradient = np.zeros((size, size)), np.zeros(size)
-    off = np.linalg.norm(bundle.residuals(), axis=1) / sigma
-    weights = np.where(np.isfinite(off), _weights(off) / sigma**2, 0.0)
+    off = np.linalg.norm(bundle.residuals(), axis=1) / sigmas
+    weights = np.where(np.isfinite(off), _weights(off) / sigmas**2, 0.0)
+    known, toward = np.zeros_like(bundle.points), np.zeros_like(bundle.points)
+    known[bundle.control], toward[bundle.control] = 1 / bundle.control_sigmas**2, bundle.control_off
     blocks = bundle_cpu.reduce(
         bundle.rotations, bundle.centres, bundle.lenses, bundle.lens_of, bundle.points, bundle.photo, bundle.starts,
-        bundle.pixels, weights, damping, system, gradient,
+        bundle.pixels, weights, damping, known, toward, system, gradient,
     )
     diagonal = np.zeros(size)
     off = bundle.positions - bundle.centres
@@ -170,10 +196,12 @@ def _normal_equations(
 
 
 def _solve(system: np.ndarray, gradient: np.ndarray, damping: float) -> np.ndarray:
-    damped = system.copy()
-    # The second term holds what nothing determines, such as the datum where no position is known.
-    damped[np.diag_indices(len(system))] += damping * np.diag(system) + 1e-14 * np.diag(system).max()
-    return np.asarray(cho_solve(cho_factor(damped, overwrite_a=True), gradient))
+    # In units in which the diagonal is one: what is held fast weighs 1e18 times what is not. The damping also holds
+    # what nothing determines, such as the datum where no position is known.
+    units = 1 / np.sqrt(np.maximum(np.diag(system), 1e-30))
+    damped = system * np.outer(units, units)
+    damped[np.diag_indices(len(system))] = 1 + damping
+    return np.asarray(units * cho_solve(cho_factor(damped, overwrite_a=True), units * gradient))
 
 
 def _stepped(bundle: Bundle, step: np.ndarray, blocks: tuple[np.ndarray, np.ndarray, np.ndarray]) -> Bundle:

@@ -88,14 +88,15 @@ def _inverse3(m: np.ndarray, out: np.ndarray) -> None:
 def reduce(
     rotations: np.ndarray, centres: np.ndarray, lenses: np.ndarray, lens_of: np.ndarray, points: np.ndarray,
     photo: np.ndarray, starts: np.ndarray, pixels: np.ndarray, weights: np.ndarray, damping: float,
-    system: np.ndarray, gradient: np.ndarray,
+    known: np.ndarray, off: np.ndarray, system: np.ndarray, gradient: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Add the observations to the reduced system of photos and lenses, the points eliminated (Schur complement).
 
     Observations are sorted by point: those of point p are `starts[p]` to `starts[p + 1]`. `weights` (M,) are inverse
-    variances. `system` (D,D), its lower
-    triangle, and `gradient` (D,) are filled in place, D = 6 photos + 9 lenses. Returns the points' inverse blocks
-    (P,3,3), their gradients (P,3), and each observation's coupling of photo and lens with its point (M,15,3).
+    variances. `known` (P,3) are those of the points' own coordinates, which lie `off` (P,3) from the points. `system`
+    (D,D), its lower triangle, and `gradient` (D,) are filled in place, D = 6 photos + 9 lenses. Returns the points'
+    inverse blocks (P,3,3), their gradients (P,3), and each observation's coupling of photo and lens with its point
+    (M,15,3).
     """
     count, first_lens, kinds = len(points), POSE * len(rotations), len(lenses)
     inverses, pulls = np.zeros((count, 3, 3)), np.zeros((count, 3))
@@ -138,7 +139,8 @@ def reduce(
                 for c in range(3):
                     of_lens[k, r, c] += coupling[i, POSE + r, c]
         for axis in range(3):
-            block[axis, axis] = block[axis, axis] * (1 + damping) + 1e-12
+            block[axis, axis] = (block[axis, axis] + known[p, axis]) * (1 + damping) + 1e-12
+            force[axis] += known[p, axis] * off[p, axis]
             pulls[p, axis] = force[axis]
         inverse = inverses[p]
         _inverse3(block, inverse)

@@ -1,0 +1,44 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`accuracy.json` beside a component's COLMAP model: what its cameras rest on, and how well they agree with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from ..base.errors import WorkspaceError
+from ..base.reading import FARTHEST, FILE_NAME, Within, build, read_json
+
+ACCURACY_FILE = "accuracy.json"
+_METRES = Annotated[float, Within(-FARTHEST, FARTHEST)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotoResidual:
+    """How far a photo's camera lies from its GPS: metres east, north and up."""
+
+    name: Annotated[str, FILE_NAME]
+    off: tuple[_METRES, _METRES, _METRES]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Accuracy:
+    """What a component's cameras rest on. `adjusted` is false for cameras as the mapper or a given model has them."""
+
+    adjusted: bool
+    reprojection_error: Annotated[float, Within(0, FARTHEST)]  # pixels, mean over the observations
+    gps: tuple[PhotoResidual, ...] = ()
+
+
+def read_accuracy(folder: Path) -> Accuracy:
+    """The record in a component's folder. Raises WorkspaceError when missing or damaged."""
+    path = folder / ACCURACY_FILE
+    try:
+        accuracy: Accuracy = build(Accuracy, read_json(path))
+        return accuracy
+    except (OSError, ValueError) as error:
+        raise WorkspaceError(
+            f"{path} is missing or damaged ({error}).", remedy="Run Reconstruct again in this workspace.", path=path
+        ) from error
