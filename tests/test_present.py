@@ -234,3 +234,8 @@ def test_cameras_move_and_photos_lie_over_the_scene(blender: Path, tmp_path: Pat
 
 def test_sheets_measure_right_and_films_play(blender: Path, tmp_path: Path) -> None:  # noqa: F811
     run_script(blender, "check_present_renders.py", tmp_path, resources=tmp_path / "user")
+
+
+def test_the_users_scene_does_not_show_in_sheets_and_films(blender: Path, tmp_path: Path) -> None:  # noqa: F811
+    """Markers, stereo, view layers, colours, objects' and output settings; Cycles off, no FFmpeg, a swapped camera."""
+    run_script(blender, "check_present_alone.py", tmp_path, resources=tmp_path / "user")

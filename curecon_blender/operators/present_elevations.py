@@ -20,8 +20,8 @@ class CURECON_OT_render_elevations(RenderSeries, bpy.types.Operator):
     bl_idname = "curecon.render_elevations"
     bl_label = "Draw Elevations"
 
-    def shots(self, context: bpy.types.Context, copy: bpy.types.Scene, folder: Path) -> list[render_scene.Shot]:
-        self._plan = elevations.plan(context.scene, copy, folder)
+    def shots(self, context: bpy.types.Context, stage: bpy.types.Scene, folder: Path) -> list[render_scene.Shot]:
+        self._plan = elevations.plan(context.scene, stage, folder)
         return [elevation.shot for elevation in self._plan.elevations]
 
     def done(self, scene: bpy.types.Scene, folder: Path) -> str:

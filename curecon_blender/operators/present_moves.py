@@ -56,7 +56,8 @@ Made again, it takes the place of the earlier one"""
         except CuReconError as error:
             self.report({"ERROR"}, running.explain(error))
             return {"CANCELLED"}
-        render_scene.apply_quality(scene)
+        if missing := render_scene.apply_quality(scene):
+            self.report({"WARNING"}, missing)
         cameras.enter_view(context)
         said = rpt_("{}: {} frames. Play it with the space bar.").format(camera.name, scene.frame_end)
         self.report({"INFO"}, said)

@@ -51,7 +51,8 @@ class CURECON_OT_look_through(bpy.types.Operator):
             self.report({"ERROR"}, "Select the camera of a photo first.")
             return {"CANCELLED"}
         cameras.look_through(context, camera)
-        render_scene.apply_quality(scene)
+        if missing := render_scene.apply_quality(scene):
+            self.report({"WARNING"}, missing)
         cameras.overlay(camera, scene.curecon.present.photo_opacity)
         return {"FINISHED"}
 

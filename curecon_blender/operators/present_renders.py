@@ -23,13 +23,16 @@ The film shows the camera move that the scene looks through, or else a turntable
     bl_idname = "curecon.render_showreel"
     bl_label = "Render Stills and Film"
 
-    def shots(self, context: bpy.types.Context, copy: bpy.types.Scene, folder: Path) -> list[render_scene.Shot]:
-        self._shots = showreel.shots(context.scene, copy, folder)
+    def shots(self, context: bpy.types.Context, stage: bpy.types.Scene, folder: Path) -> list[render_scene.Shot]:
+        self._shots = showreel.shots(context.scene, stage, folder)
         return self._shots
 
     def done(self, scene: bpy.types.Scene, folder: Path) -> str:
         stills = [shot for shot in self._shots if shot.frames == 1]
         showreel.write_contact_sheet(stills, folder, rendering.title_of(scene), rendering.today())
+        if len(stills) == len(self._shots):
+            self.report({"WARNING"}, "This Blender was built without FFmpeg and makes no films.")
+            return rpt_("{} stills and a contact sheet are in {}.").format(len(stills), folder)
         return rpt_("{} stills, a film and a contact sheet are in {}.").format(len(stills), folder)
 
 

@@ -81,8 +81,9 @@ def _set_sun(scene: bpy.types.Scene) -> tuple[str, str]:
         )
     daylight.shine(scene, site.box(scene), azimuth, altitude, north)
     properties.surface_light = "SCENE"
-    render_scene.apply_quality(scene)
     said = [rpt_("{:%d %B %Y, %H:%M} UTC: the sun {:.0f}° high in {:.0f}°.").format(utc, altitude, azimuth)]
+    if missing := render_scene.apply_quality(scene):
+        said.append(missing)
     if known.origin is None:
         said.append(rpt_("The place is the one typed in."))
     if not known.north:

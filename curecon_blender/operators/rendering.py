@@ -50,9 +50,15 @@ def today() -> str:
     return f"{now.day} {now:%B %Y}"
 
 
+def _sentence(error: RuntimeError) -> str:
+    """What Blender says of its own operator's failure, without the lines of where."""
+    lines = [line for line in str(error).strip().splitlines() if not line.startswith("Location:")]
+    return lines[-1].removeprefix("Error: ") if lines else "Blender could not render."
+
+
 class RenderSeries:
-    """Mixed into an operator. A subclass gives `shots`, which puts cameras in the copy, and `done`, which takes in the
-    files and returns the report; both may raise CuReconError."""
+    """Mixed into an operator. A subclass gives `shots`, which puts cameras on the stage, and `done`, which takes in the
+    files and returns the report; both may raise CuReconError. Whatever is raised, the stage goes."""
 
     shots: Callable[[bpy.types.Context, bpy.types.Scene, Path], list[render_scene.Shot]]
     done: Callable[[bpy.types.Scene, Path], str]
@@ -71,28 +77,12 @@ class RenderSeries:
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        try:
-            self._start(context)
-            for shot in self._queue:
-                render_scene.set_up(self._copy, shot)
-                print(f"CU-Recon: {shot.name}", flush=True)
-                bpy.ops.render.render(scene=self._copy.name, write_still=True, animation=shot.frames > 1)
-        except (CuReconError, RuntimeError) as error:  # Blender's own: no graphics card for EEVEE, no such folder
-            return self._fail(error)
-        return self._finish(context)
+        return self._guarded(context, self._draw_all)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if bpy.app.background or context.window is None:
             return self.execute(context)
-        try:
-            self._start(context)
-        except CuReconError as error:
-            return self._fail(error)
-        self._cancelled = False
-        bpy.app.handlers.render_cancel.append(self._on_cancel)
-        self._timer = context.window_manager.event_timer_add(POLL_SECONDS, window=context.window)
-        context.window_manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
+        return self._guarded(context, self._begin)
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if event.type != "TIMER" or bpy.app.is_job_running("RENDER"):
@@ -101,13 +91,52 @@ class RenderSeries:
             self._close(context)
             self.report({"WARNING"}, "Cancelled; what is finished lies in the folder.")
             return {"CANCELLED"}
+        return self._guarded(context, self._go_on)
+
+    def _guarded(self, context: bpy.types.Context, step: Callable[[bpy.types.Context], set[str]]) -> set[str]:
+        """A step of the series: an error ends it and is reported in a sentence, and any exception takes the stage
+        away."""
+        try:
+            ended = step(context)
+        except (CuReconError, RuntimeError) as error:  # Blender's own: no graphics card for EEVEE, no encoder
+            self._close(context)
+            self.report({"ERROR"}, running.explain(error) if isinstance(error, CuReconError) else _sentence(error))
+            return {"CANCELLED"}
+        except BaseException:
+            self._close(context)
+            raise
+        return ended
+
+    def _draw_all(self, context: bpy.types.Context) -> set[str]:
+        self._start(context)
+        for shot in self._queue:
+            render_scene.set_up(self._stage, shot)
+            print(f"CU-Recon: {shot.name}", flush=True)
+            bpy.ops.render.render(scene=self._stage.name, write_still=True, animation=shot.frames > 1)
+            render_scene.check(self._stage, shot)
+        return self._finish(context)
+
+    def _begin(self, context: bpy.types.Context) -> set[str]:
+        self._start(context)
+        self._cancelled = False
+        bpy.app.handlers.render_cancel.append(self._on_cancel)
+        self._timer = context.window_manager.event_timer_add(POLL_SECONDS, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def _go_on(self, context: bpy.types.Context) -> set[str]:
+        """Start the next render in a window, or take in the files of all."""
+        stage = render_scene.find()  # Python holds no scene over an undo
+        if progress.done > self._checked:
+            render_scene.check(stage, self._queue[self._checked])
+            self._checked += 1
         if progress.done == len(self._queue):
             return self._finish(context)
         shot = self._queue[progress.done]
-        render_scene.set_up(self._copy, shot)
+        render_scene.set_up(stage, shot)
         # A render that another one holds up is asked for again at the next tick.
         started = bpy.ops.render.render(
-            "INVOKE_DEFAULT", scene=self._copy.name, write_still=True, animation=shot.frames > 1
+            "INVOKE_DEFAULT", scene=stage.name, write_still=True, animation=shot.frames > 1
         )
         if "CANCELLED" not in started:
             progress.name, progress.done = shot.name, progress.done + 1
@@ -128,30 +157,15 @@ class RenderSeries:
                 raise WorkspaceError(
                     f"{folder} cannot be a folder: a file is in the way.", remedy="Choose another folder.", path=folder,
                 ) from error
-        self._scene_name, self._folder = scene.name, folder
-        self._copy = render_scene.create(scene)
-        self._queue = self.shots(context, self._copy, folder)
+        self._scene_name, self._folder, self._checked = scene.name, folder, 0
+        self._stage = render_scene.create(scene)
+        self._queue = self.shots(context, self._stage, folder)
         progress.running, progress.done, progress.total, progress.name = True, 0, len(self._queue), ""
 
     def _finish(self, context: bpy.types.Context) -> set[str]:
         self._close(context)
-        missing = [shot.file for shot in self._queue if not shot.file.is_file()]
-        try:
-            if missing:
-                raise WorkspaceError(
-                    f"Blender could not write {missing[0]}.", path=missing[0],
-                    remedy="Check the free space of the disk and the folder's permissions.",
-                )
-            said = self.done(bpy.data.scenes[self._scene_name], self._folder)
-        except CuReconError as error:
-            return self._fail(error)
-        self.report({"INFO"}, said)
+        self.report({"INFO"}, self.done(bpy.data.scenes[self._scene_name], self._folder))
         return {"FINISHED"}
-
-    def _fail(self, error: CuReconError | RuntimeError) -> set[str]:
-        self._close(bpy.context)
-        self.report({"ERROR"}, running.explain(error) if isinstance(error, CuReconError) else str(error).strip())
-        return {"CANCELLED"}
 
     def _close(self, context: bpy.types.Context) -> None:
         progress.running = False
@@ -160,8 +174,8 @@ class RenderSeries:
             self._timer = None
             bpy.app.handlers.render_cancel.remove(self._on_cancel)
             running.redraw_panels(context)
-        if (copy := render_scene.find()) is not None:
-            render_scene.remove(copy)
+        if (stage := render_scene.find()) is not None:
+            render_scene.remove(stage)
 
     def _on_cancel(self, *_: object) -> None:
         self._cancelled = True

@@ -11,7 +11,7 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from ..operators import rendering
 from ..operators.present_moves import KINDS
-from ..scene import cameras, daylight, site
+from ..scene import cameras, daylight, render_scene, site
 from .layout import Panel, paragraph
 
 
@@ -121,6 +121,8 @@ class CURECON_PT_present_output(_Part, bpy.types.Panel):
         layout = self.layout
         layout.row().prop(present, "quality", expand=True)
         layout.row().prop(present, "engine", expand=True)
+        if (missing := render_scene.missing(context.scene)):
+            paragraph(layout, context, missing, icon="ERROR")
         layout.prop(present, "title", placeholder="The workspace's name")
         layout.prop(present, "folder", placeholder="In the workspace")
         layout.operator("curecon.render_showreel", icon="RENDER_ANIMATION")

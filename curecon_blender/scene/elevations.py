@@ -43,15 +43,17 @@ class Plan:
     pixels_per_mm: int
 
 
-def plan(scene: bpy.types.Scene, copy: bpy.types.Scene, folder: Path) -> Plan:
-    """Put a camera square to each side of the building, and one above it, in the copy. Raises SurfaceError."""
+def plan(scene: bpy.types.Scene, stage: bpy.types.Scene, folder: Path) -> Plan:
+    """Put a camera square to each side of the building, and one above it, in the stage. Raises SurfaceError."""
     present = scene.curecon.present
     about = site.box(scene, present.facade_turn)
     pixels_per_mm = render_scene.QUALITIES[present.quality].sheet_pixels_per_mm
     known = site.known(scene)
     scale = int(present.sheet_scale) if known.metres else None
-    render_scene.show_fronts_only(copy)
-    surface.light(copy, by_scene=present.sheet_light == "SCENE")
+    render_scene.show_fronts_only(stage)
+    surface.light(stage, by_scene=present.sheet_light == "SCENE")
+    if present.sheet_light == "PHOTO":
+        stage.world = None  # a misty one would veil the photos' colours
     x, y = about.axis(0), about.axis(1)
     views = [(side, np.array([np.cross(UP, out), UP, out])) for side, out in zip(SIDES, (-y, x, y, -x), strict=True)]
     views.append(("Roof plan", np.array([x, y, UP])))
@@ -67,7 +69,7 @@ def plan(scene: bpy.types.Scene, copy: bpy.types.Scene, folder: Path) -> Plan:
         shown = pixels[0] / pixels_per_mm / mm_per_unit, pixels[1] / pixels_per_mm / mm_per_unit
         name, orientation, north = _words(side, axes, is_plan=is_plan, has_north=known.north)
         file = folder / f"{number}_{name.lower().replace(' ', '_')}.png"
-        camera = render_scene.add_square(copy, name, about, axes, shown)
+        camera = render_scene.add_square(stage, name, about, axes, shown)
         made.append(Elevation(
             shot=render_scene.Shot(name=name, file=file, camera=camera, size=pixels, clear=True), name=name,
             orientation=orientation, north=north,

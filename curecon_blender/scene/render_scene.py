@@ -1,12 +1,15 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A copy of the scene to render from, so that the user's own size, output and colours stay as they are.
+"""A scene of our own to render from: the user's markers, view layers, colours, stereo and size neither show in it nor
+change.
 
-The copy shares the objects; it is there only while pictures are made. Engine and quality are the scene's own, too.
+It holds copies of the site's objects, which share their data; it is there only while pictures are made. The scene's
+own are the lamps, the world, the frame rate, and the engine and quality that its properties ask for.
 """
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,14 +17,21 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
+from ..core.base.errors import CuReconError
+from ..core.base.files import disk_errors
 from ..core.present.camera_path import CameraPath
 from . import flight, presentation, site, surface
 from .surface import surfaces_of
 
-COPY_ROLE = "stage"
+STAGE_ROLE = "stage"
 NAME = "CU-Recon Rendering"
-FRONT_NODES = ("CU-Recon Front", "CU-Recon Backfacing", "CU-Recon Nothing")
 EEVEES = ("BLENDER_EEVEE", "BLENDER_EEVEE_NEXT")  # 4.5 has the second, 5.0 and later the first
+
+
+class RenderError(CuReconError):
+    """Blender cannot draw what was asked for, or drew something else."""
+
+    kind = "render"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,63 +63,140 @@ class Shot:
 
 
 def create(scene: bpy.types.Scene) -> bpy.types.Scene:
-    """A copy of the scene in the colours of the photos, with the quality that the scene's properties ask for."""
+    """A scene with the site alone, in the colours of the photos and with the quality that `scene`'s properties ask for.
+    Raises RenderError, and leaves nothing behind, where Blender cannot."""
     if (earlier := find()) is not None:  # of a run that was cut off
         remove(earlier)
-    copy = scene.copy()
-    copy.name = NAME
-    copy[presentation.ROLE_KEY] = COPY_ROLE
-    apply_quality(copy)
-    render, view = copy.render, copy.view_settings
-    render.use_persistent_data = True  # a film's frames share the geometry
-    render.use_compositing = render.use_sequencer = render.use_border = render.use_stamp = False
-    for setting in render.bl_rna.properties:  # else a picture tells the .blend's path, and so often who made it
-        if setting.identifier.startswith("use_stamp_"):
-            setattr(render, setting.identifier, False)
-    render.resolution_percentage, render.pixel_aspect_x, render.pixel_aspect_y = 100, 1, 1
-    # As they are on the photos: other view transforms would change them.
-    view.view_transform, view.look, view.exposure, view.gamma = "Standard", "None", 0, 1
-    return copy
+    engine = engine_of(scene)
+    stage = bpy.data.scenes.new(NAME)
+    stage[presentation.ROLE_KEY] = STAGE_ROLE
+    try:
+        _set_output(stage)
+        _apply(stage, scene.curecon, engine)
+    except BaseException:
+        remove(stage)
+        raise
+    render, asked = stage.render, scene.render
+    render.fps, render.fps_base, stage.frame_current = asked.fps, asked.fps_base, scene.frame_current
+    render.threads_mode, render.threads = asked.threads_mode, asked.threads
+    if hasattr(scene, "cycles"):
+        stage.cycles.device = scene.cycles.device
+    stage.world = scene.world
+    for item in site.drawn(scene):
+        _share(stage, item)
+    surface.light(stage, by_scene=scene.curecon.surface_light == "SCENE")
+    return stage
 
 
-def apply_quality(scene: bpy.types.Scene) -> None:
-    """Let what the scene renders, F12's pictures too, have the engine and the quality that its properties ask for."""
-    present = scene.curecon.present
-    quality, render = QUALITIES[present.quality], scene.render
-    known = {item.identifier for item in render.bl_rna.properties["engine"].enum_items}
-    render.engine = "CYCLES" if present.engine == "CYCLES" else next(name for name in EEVEES if name in known)
-    if hasattr(scene, "cycles"):  # the Cycles add-on can be switched off
-        scene.cycles.samples, scene.cycles.max_bounces, scene.cycles.transparent_max_bounces = quality.samples, 4, 64
-        # Photos' colours have no noise to be taken away, only detail.
-        scene.cycles.use_denoising = scene.curecon.surface_light == "SCENE"
-    scene.eevee.taa_render_samples = quality.samples
+def engine_of(scene: bpy.types.Scene) -> str:
+    """Blender's name of the engine that the scene's properties ask for. Raises RenderError where it is switched off."""
+    if scene.curecon.present.engine == "EEVEE":
+        known = {item.identifier for item in scene.render.bl_rna.properties["engine"].enum_items}
+        return next(name for name in EEVEES if name in known)
+    if not hasattr(scene, "cycles"):
+        raise RenderError(
+            "Cycles is switched off in this Blender.",
+            remedy="Choose EEVEE under Pictures and Film, or enable Cycles Render Engine among the preferences' "
+                   "add-ons.",
+        )
+    return "CYCLES"
+
+
+def missing(scene: bpy.types.Scene) -> str:
+    """Why the engine that the scene's properties ask for cannot render, in words; empty when it can."""
+    try:
+        engine_of(scene)
+    except RenderError as error:
+        return f"{error.message} {error.remedy}"
+    return ""
+
+
+def apply_quality(scene: bpy.types.Scene) -> str:
+    """Let what the scene renders, F12's pictures too, have the engine and the quality that its properties ask for;
+    returns what `missing` does."""
+    if not (why := missing(scene)):
+        _apply(scene, scene.curecon, engine_of(scene))
     if flight.is_move(scene.camera):
-        render.resolution_percentage = quality.film_percentage
+        scene.render.resolution_percentage = QUALITIES[scene.curecon.present.quality].film_percentage
+    return why
+
+
+def can_film() -> bool:
+    """Whether this Blender writes films; some builds have no FFmpeg."""
+    return bool(bpy.app.build_options.codec_ffmpeg)
 
 
 def find() -> bpy.types.Scene | None:
-    """The copy that is there, if any."""
-    return next((item for item in bpy.data.scenes if item.get(presentation.ROLE_KEY) == COPY_ROLE), None)
+    """The stage that is there, if any."""
+    return next((item for item in bpy.data.scenes if item.get(presentation.ROLE_KEY) == STAGE_ROLE), None)
 
 
-def remove(copy: bpy.types.Scene) -> None:
-    """Take away the copy, with the cameras that only it has and what it changed on the surfaces."""
-    _show_both_sides(copy)
-    surface.light(copy, by_scene=copy.curecon.surface_light == "SCENE")
-    own = [item for item in copy.collection.objects if item.get(presentation.ROLE_KEY) == COPY_ROLE]
-    for camera in own:
-        bpy.data.cameras.remove(camera.data)
-    bpy.data.scenes.remove(copy)
+def remove(stage: bpy.types.Scene) -> None:
+    """Take away the stage with all that only it has."""
+    materials = {material for item in stage.objects for material in _own_materials(item)}
+    own = {item: item.data for item in stage.objects if item.type == "CAMERA" and presentation.ROLE_KEY in item.data}
+    keys = {item.animation_data.action for item in own if item.animation_data is not None}
+    bpy.data.batch_remove([*stage.objects, *materials, *own.values(), *keys])
+    bpy.data.scenes.remove(stage)
 
 
-def set_up(copy: bpy.types.Scene, shot: Shot) -> None:
-    """Make the copy ready for a shot."""
-    render, settings = copy.render, copy.render.image_settings
-    copy.camera = bpy.data.objects[shot.camera]
+def _apply(scene: bpy.types.Scene, properties: bpy.types.PropertyGroup, engine: str) -> None:
+    quality = QUALITIES[properties.present.quality]
+    scene.render.engine = engine
+    if hasattr(scene, "cycles"):  # the Cycles add-on can be switched off
+        scene.cycles.samples, scene.cycles.max_bounces, scene.cycles.transparent_max_bounces = quality.samples, 4, 64
+        # Photos' colours have no noise to be taken away, only detail.
+        scene.cycles.use_denoising = properties.surface_light == "SCENE"
+    scene.eevee.taa_render_samples = quality.samples
+
+
+def _set_output(stage: bpy.types.Scene) -> None:
+    render, view = stage.render, stage.view_settings
+    render.use_persistent_data = True  # a film's frames share the geometry
+    render.use_compositing = render.use_sequencer = False
+    for setting in render.bl_rna.properties:  # else a picture tells the .blend's path, and so often who made it
+        if setting.identifier.startswith("use_stamp"):
+            setattr(render, setting.identifier, False)
+    render.resolution_percentage = 100
+    try:  # as they are on the photos: other view transforms would change them
+        stage.display_settings.display_device = "sRGB"
+        view.view_transform, view.look, view.exposure, view.gamma = "Standard", "None", 0, 1
+    except TypeError as error:  # what the names are comes from the OpenColorIO configuration
+        raise RenderError(
+            "Blender's colour configuration has no display sRGB with the view Standard, which shows photos' colours as "
+            "they are.", remedy="Start Blender without the environment variable OCIO.",
+        ) from error
+
+
+def _share(stage: bpy.types.Scene, item: bpy.types.Object) -> bpy.types.Object:
+    """Link a copy of an object that shares its data into the stage, seen by every ray; its materials are copies."""
+    copy = item.copy()
+    copy[presentation.ROLE_KEY] = STAGE_ROLE
+    copy.hide_render = copy.is_holdout = copy.is_shadow_catcher = False
+    for ray in ("camera", "diffuse", "glossy", "transmission", "volume_scatter", "shadow"):
+        setattr(copy, f"visible_{ray}", True)
+    copy.light_linking.receiver_collection = copy.light_linking.blocker_collection = None
+    stage.collection.objects.link(copy)
+    if surface.is_surface(copy):
+        for slot in copy.material_slots:
+            material = slot.material
+            slot.link = "OBJECT"
+            if material is not None:
+                slot.material = material.copy()
+                slot.material[presentation.ROLE_KEY] = STAGE_ROLE
+    return copy
+
+
+def set_up(stage: bpy.types.Scene, shot: Shot) -> None:
+    """Make the stage ready for a shot, whose file of an earlier run goes. Raises RenderError, WorkspaceError."""
+    with disk_errors(shot.file):
+        shot.file.unlink(missing_ok=True)
+    render, settings = stage.render, stage.render.image_settings
+    stage.camera = bpy.data.objects[shot.camera]
     render.resolution_x, render.resolution_y = shot.size
     render.film_transparent = shot.clear
-    render.filepath = str(shot.file)
-    copy.frame_start, copy.frame_end = 1, shot.frames
+    render.filepath = _literal(shot.file)
+    stage.frame_start, stage.frame_end = 1, shot.frames
     film = shot.frames > 1
     if hasattr(settings, "media_type"):  # Blender 5
         settings.media_type = "VIDEO" if film else "IMAGE"
@@ -123,28 +210,51 @@ def set_up(copy: bpy.types.Scene, shot: Shot) -> None:
         settings.color_depth = "8"
 
 
+def check(stage: bpy.types.Scene, shot: Shot) -> None:
+    """Make sure that a shot is what was asked for: by its camera, of its size or length. Raises RenderError."""
+    remedy = "Check the disk's free space and the folder's permissions, and switch off add-ons that change renders."
+    if not shot.file.is_file():
+        raise RenderError(f"Blender could not write {shot.file}.", remedy=remedy, path=shot.file)
+    if stage.camera is None or stage.camera.name != shot.camera:
+        raise RenderError(f"{shot.file} was drawn by another camera.", remedy=remedy, path=shot.file)
+    if shot.frames == 1:
+        found = struct.unpack(">II", shot.file.read_bytes()[16:24])
+        fits = found == shot.size
+    else:
+        clip = bpy.data.movieclips.load(str(shot.file))
+        fits = clip.frame_duration == shot.frames
+        bpy.data.movieclips.remove(clip)
+    if not fits:
+        raise RenderError(f"{shot.file} is of another size than was asked for.", remedy=remedy, path=shot.file)
+
+
 def add_still(
-    copy: bpy.types.Scene, name: str, about: site.Box, azimuth: float, height: float, steepest: float
+    stage: bpy.types.Scene, name: str, about: site.Box, azimuth: float, height: float, steepest: float
 ) -> str:
-    """A camera of the copy alone that sees all of the box; returns the object's name. See flight.look_from."""
-    camera = _own_camera(copy, flight.new_lens(name, about))
+    """A camera of the stage alone that sees all of the box; returns the object's name. See flight.look_from."""
+    camera = _own_camera(stage, flight.new_lens(name, about))
     place, rotation = flight.look_from(about, azimuth, height, steepest)
     camera.rotation_mode = "QUATERNION"
     camera.location, camera.rotation_quaternion = place, rotation
     return camera.name
 
 
-def add_orbit(copy: bpy.types.Scene, about: site.Box, path: CameraPath) -> str:
-    """A camera of the copy alone that goes along `path`; returns the object's name."""
-    camera = _own_camera(copy, flight.new_lens("Turntable", about))
+def add_orbit(stage: bpy.types.Scene, about: site.Box, path: CameraPath) -> str:
+    """A camera of the stage alone that goes along `path`; returns the object's name."""
+    camera = _own_camera(stage, flight.new_lens("Turntable", about))
     flight.animate(camera, path)
     return camera.name
 
 
+def add_move(stage: bpy.types.Scene, camera: bpy.types.Object) -> str:
+    """The user's own camera with its keys, in the stage; returns the object's name."""
+    return _share(stage, camera).name
+
+
 def add_square(
-    copy: bpy.types.Scene, name: str, about: site.Box, axes: np.ndarray, size: tuple[float, float]
+    stage: bpy.types.Scene, name: str, about: site.Box, axes: np.ndarray, size: tuple[float, float]
 ) -> str:
-    """An orthographic camera of the copy alone that sees just the box's depth; returns the object's name.
+    """An orthographic camera of the stage alone that sees just the box's depth; returns the object's name.
 
     `axes` (3,3) are rows: right, up and out towards the viewer; `size` is the picture's width and height in scene
     units.
@@ -153,45 +263,33 @@ def add_square(
     depth = float(np.abs(np.array([about.axis(i) for i in range(3)]) @ axes[2]) @ about.half) * 1.001
     data.type, data.sensor_fit, data.ortho_scale = "ORTHO", "HORIZONTAL", size[0]
     data.clip_start, data.clip_end = depth * 1e-4, 2 * depth
-    camera = _own_camera(copy, data)
+    camera = _own_camera(stage, data)
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = axes.T, about.centre + depth * axes[2]
     camera.matrix_world = Matrix(matrix.tolist())
     return camera.name
 
 
-def show_fronts_only(copy: bpy.types.Scene) -> None:
-    """Let nobody see through the surfaces' backs until the copy is taken away: a façade that no photo shows stays empty
-    and is not the opposite one from within."""
-    _show_both_sides(copy)
-    for tree in _trees(copy):
-        output = tree.get_output_node("ALL")
+def show_fronts_only(stage: bpy.types.Scene) -> None:
+    """Let nobody see through the surfaces' backs: a façade that no photo shows stays empty and is not the opposite one
+    from within."""
+    for material in {material for item in surfaces_of(stage) for material in _own_materials(item)}:
+        tree = material.node_tree
+        output = tree.get_output_node("ALL") if tree is not None else None
         if output is None or not output.inputs["Surface"].links:
             continue
         kinds = ("ShaderNodeMixShader", "ShaderNodeNewGeometry", "ShaderNodeBsdfTransparent")
         mix, geometry, nothing = (tree.nodes.new(kind) for kind in kinds)
-        for node, name in zip((mix, geometry, nothing), FRONT_NODES, strict=True):
-            node.name = name
         tree.links.new(geometry.outputs["Backfacing"], mix.inputs[0])
         tree.links.new(output.inputs["Surface"].links[0].from_socket, mix.inputs[1])
         tree.links.new(nothing.outputs[0], mix.inputs[2])
         tree.links.new(mix.outputs[0], output.inputs["Surface"])
 
 
-def _show_both_sides(copy: bpy.types.Scene) -> None:
-    for tree in _trees(copy):
-        nodes = [tree.nodes[name] for name in FRONT_NODES if name in tree.nodes]
-        if len(nodes) == len(FRONT_NODES):
-            shader, target = nodes[0].inputs[1].links[0].from_socket, nodes[0].outputs[0].links[0].to_socket
-            tree.links.new(shader, target)
-        for node in nodes:
-            tree.nodes.remove(node)
-
-
-def _trees(copy: bpy.types.Scene) -> list[bpy.types.NodeTree]:
-    """The node trees of the surfaces' materials, each once."""
-    materials = {material for item in surfaces_of(copy) for material in item.data.materials if material is not None}
-    return [material.node_tree for material in materials if material.node_tree is not None]
+def _own_materials(item: bpy.types.Object) -> set[bpy.types.Material]:
+    """The materials of an object in the stage that are copies."""
+    found = {slot.material for slot in item.material_slots if slot.material is not None}
+    return {material for material in found if material.get(presentation.ROLE_KEY) == STAGE_ROLE}
 
 
 def read_pixels(file: Path) -> np.ndarray:
@@ -208,8 +306,13 @@ def read_pixels(file: Path) -> np.ndarray:
     return np.rint(255 * (values[::-1, :, :3] * alpha + 1 - alpha)).astype(np.uint8)
 
 
-def _own_camera(copy: bpy.types.Scene, data: bpy.types.Camera) -> bpy.types.Object:
+def _own_camera(stage: bpy.types.Scene, data: bpy.types.Camera) -> bpy.types.Object:
     camera = bpy.data.objects.new(data.name, data)
-    camera[presentation.ROLE_KEY] = COPY_ROLE
-    copy.collection.objects.link(camera)
+    camera[presentation.ROLE_KEY] = data[presentation.ROLE_KEY] = STAGE_ROLE
+    stage.collection.objects.link(camera)
     return camera
+
+
+def _literal(file: Path) -> str:
+    """A path as Blender's render settings hold it, where braces would be a template."""
+    return str(file).replace("{", "{{").replace("}", "}}")

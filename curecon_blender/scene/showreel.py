@@ -18,8 +18,9 @@ STEEPEST = 22.0  # degrees that the other four look down, or no sky would be see
 CONTACT_PIXELS_PER_MM = 8
 
 
-def shots(scene: bpy.types.Scene, copy: bpy.types.Scene, folder: Path) -> list[render_scene.Shot]:
-    """Put the cameras of the stills and of the film in the copy. Raises SurfaceError."""
+def shots(scene: bpy.types.Scene, stage: bpy.types.Scene, folder: Path) -> list[render_scene.Shot]:
+    """Put the cameras of the stills and of the film in the stage; where this Blender can make no film, for
+    the stills alone. Raises SurfaceError."""
     present, about = scene.curecon.present, site.box(scene)
     share = render_scene.QUALITIES[present.quality].film_percentage / 100
     size = round(flight.FILM_SIZE[0] * share), round(flight.FILM_SIZE[1] * share)
@@ -32,13 +33,15 @@ def shots(scene: bpy.types.Scene, copy: bpy.types.Scene, folder: Path) -> list[r
         name, high, steepest = (
             (side, height, STEEPEST) if number < 5 else ("From above", FROM_ABOVE * about.radius, 90.0)
         )
-        camera = render_scene.add_still(copy, name, about, azimuth, high, steepest)
+        camera = render_scene.add_still(stage, name, about, azimuth, high, steepest)
         made.append(render_scene.Shot(name=name, file=folder / f"still_{number}.png", camera=camera, size=size))
+    if not render_scene.can_film():
+        return made
     if flight.is_move(scene.camera):
-        film, frames = scene.camera.name, flight.frames_of(scene.camera)
+        film, frames = render_scene.add_move(stage, scene.camera), flight.frames_of(scene.camera)
     else:
         frames = flight.frame_count(scene)
-        film = render_scene.add_orbit(copy, about, flight.around(about, "ORBIT", present, frames))
+        film = render_scene.add_orbit(stage, about, flight.around(about, "ORBIT", present, frames))
     made.append(render_scene.Shot(name="Film", file=folder / "film.mp4", camera=film, size=size, frames=frames))
     return made
 

@@ -66,9 +66,7 @@ class Known:
 def subject(scene: bpy.types.Scene) -> bpy.types.Object | None:
     """What is presented: the largest surface, or else cloud, that renders show, of those about the middle of the region
     box where there is one. Where renders show none, the largest of all."""
-    found = [*surfaces_of(scene), *clouds_of(scene)]
-    drawn = _drawn(scene)
-    shown = [item for item in found if not item.hide_render and drawn.intersection(item.users_collection)] or found
+    shown = _shown(scene)
     region = scene.curecon.region
     about = [item for item in shown if _holds(item, region)] if region is not None else []
     return next(iter(about or shown), None)
@@ -140,6 +138,22 @@ def ground(cloud: bpy.types.Object, world_from_cloud: np.ndarray) -> float:
         raise FrameError(
             f"Nothing level was measured in {cloud.name}.", remedy="Level the site first, or move it by hand.")
     return lowest_wide_level(heights, level)
+
+
+def drawn(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """What pictures of the site show, of what renders show: its surfaces and clouds, what else stands in its
+    collections, and the scene's lamps."""
+    held = {item for top in scene.collection.children if WORKSPACE_KEY in top for item in top.all_objects}
+    seen = _drawn(scene)
+    also = [item for item in scene.objects if (item in held or item.type == "LIGHT") and item.type != "CAMERA"
+            and not item.hide_render and seen.intersection(item.users_collection)]
+    return list(dict.fromkeys([*_shown(scene), *also]))
+
+
+def _shown(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The surfaces, then the clouds, that renders show; all of them where renders show none."""
+    found, seen = [*surfaces_of(scene), *clouds_of(scene)], _drawn(scene)
+    return [item for item in found if not item.hide_render and seen.intersection(item.users_collection)] or found
 
 
 def _drawn(scene: bpy.types.Scene) -> set[bpy.types.Collection]:

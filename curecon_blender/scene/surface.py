@@ -201,7 +201,7 @@ def show_filled(scene: bpy.types.Scene, tinted: bool) -> None:
 def light(scene: bpy.types.Scene, by_scene: bool) -> None:
     """Let the scene's lights shade the surfaces, or show the photos' colours as they are, with the photos' light."""
     for item in surfaces_of(scene):
-        for material in item.data.materials:
+        for material in (slot.material for slot in item.material_slots):
             if material is not None and material.node_tree is not None and LIGHT_NODE in material.node_tree.nodes:
                 material.node_tree.nodes[LIGHT_NODE].inputs[0].default_value = 0.0 if by_scene else 1.0
 
