@@ -113,6 +113,9 @@ class Frame:
     note: str = ""  # one sentence for the user
 
 
+_Pixels = Annotated[int, Within(1, 1_000_000)]
+
+
 @dataclass(frozen=True, kw_only=True)
 class View:
     """An undistorted photo with its camera, ready for multi-view stereo.
@@ -135,6 +138,8 @@ class View:
     overlaps: tuple[str, ...] = ()
     original: str = ""  # the photo's own file, absolute path; "" where that is not known or not to be looked at
     points: Annotated[int, Within(0, 100_000_000)] = 0
+    lens: Lens | None = None  # of the photo itself, where its kind is known
+    photo_size: tuple[_Pixels, _Pixels] | None = None
 
     @property
     def centre(self) -> np.ndarray:

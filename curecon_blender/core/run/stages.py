@@ -267,7 +267,7 @@ STAGES = {stage.name: stage for stage in (
           options=("preset.sfm_image_size", "preset.max_features"), inputs=_model),
     Stage(name="adjust", version=1, weight=0.02, run=_adjust,
           files=("sparse/[0-9]*/*.bin", "sparse/[0-9]*/frame.json", "sparse/[0-9]*/accuracy.json")),
-    Stage(name="views", version=1, weight=0.03, files=(views_record.FILE_NAME, "undistorted/*"), run=_prepare_views,
+    Stage(name="views", version=2, weight=0.03, files=(views_record.FILE_NAME, "undistorted/*"), run=_prepare_views,
           options=("image_size", "source_views"), load=_load_views),
     DEPTH,
     Stage(name="fusion", version=1, weight=0.1, files=("cloud*.ply",), run=_fuse, in_budget=True,

@@ -19,7 +19,7 @@ from ..base.files import disk_errors, partial_path, write_json
 from ..base.images import MAX_PIXELS
 from ..base.messages import Reporter
 from ..base.reading import FARTHEST
-from ..base.records import Frame, Photo, PhotoSet
+from ..base.records import Frame, Lens, Photo, PhotoSet
 from ..photos.record import photo_finder
 from .model_files import check_binary
 from .record import FRAME_FILE, read_frame
@@ -230,6 +230,19 @@ def _check_written(model: pycolmap.Reconstruction, folder: Path) -> None:
             f"The sparse model could not be written whole to {folder.parent}.",
             remedy="Free some space, then run it again: finished work is kept.", path=folder.parent,
         )
+
+
+def lens_of(camera: pycolmap.Camera) -> Lens | None:
+    """The camera as a Lens; None for a kind that has more to it, such as a fisheye."""
+    name, numbers = camera.model_name, [float(number) for number in camera.params]
+    if name in ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"):
+        numbers.insert(1, numbers[0])
+    elif name not in ("PINHOLE", "OPENCV", "FULL_OPENCV") or any(numbers[9:]):
+        return None
+    if name in ("SIMPLE_RADIAL", "RADIAL"):
+        numbers = [*numbers, *[0.0] * (6 - len(numbers))]
+    fx, fy, cx, cy, k1, k2, p1, p2, k3 = [*numbers[:9], *[0.0] * (9 - len(numbers))]
+    return Lens(f=fx, aspect=fy / fx, cx=cx, cy=cy, k1=k1, k2=k2, p1=p1, p2=p2, k3=k3)
 
 
 def given_frame(folder: Path) -> Frame:

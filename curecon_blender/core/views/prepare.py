@@ -15,7 +15,7 @@ from ..base.errors import SparseError
 from ..base.messages import Reporter
 from ..base.options import Options
 from ..base.records import Component, PhotoSet, View
-from ..sparse.models import read_model
+from ..sparse.models import lens_of, read_model
 from ..sparse.record import read_frame
 from . import sparse_points
 from .scores import depth_range, matching_score
@@ -70,7 +70,7 @@ def prepare_views(photo_set: PhotoSet, options: Options, workspace: Path, report
                 cam_from_world=pose, near=near, far=far,
                 sources=tuple(sorted(scored, key=lambda s: -s[1])[: max(options.source_views, 1)]),
                 overlaps=tuple(model.images[i].name for i, _, _ in shared), original=str(photo.path),
-                points=len(inside),
+                points=len(inside), lens=lens_of(camera), photo_size=(camera.width, camera.height),
             ))
         kept = {view.name for view in views}
         components.append(Component(
