@@ -10,7 +10,7 @@ def register() -> None:
     import bpy
 
     from . import operators, panels, properties
-    from .scene import history, overlay, viewport
+    from .scene import control_overlay, history, overlay, viewport
 
     for cls in (*properties.CLASSES, *operators.CLASSES, *panels.CLASSES):
         bpy.utils.register_class(cls)
@@ -18,6 +18,7 @@ def register() -> None:
     operators.add_menus()
     viewport.start()
     overlay.start()
+    control_overlay.start()
     history.start()
 
 
@@ -26,11 +27,13 @@ def unregister() -> None:
 
     from . import operators, panels, properties, thumbnails
     from .operators import running
-    from .scene import history, overlay, viewport
+    from .scene import control_overlay, history, loupe, overlay, viewport
 
     running.close()
     thumbnails.clear()
     history.stop()
+    loupe.forget()
+    control_overlay.stop()
     overlay.stop()
     viewport.stop()
     operators.remove_menus()

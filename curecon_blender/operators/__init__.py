@@ -11,6 +11,7 @@ from . import (
     check_photos,
     choose_photos,
     cloud_points,
+    control_points,
     export_surface,
     frame_ground,
     frame_level,
@@ -19,6 +20,7 @@ from . import (
     frame_reset,
     frame_scale,
     import_workspace,
+    mark_points,
     measure,
     present_elevations,
     present_moves,
@@ -37,6 +39,7 @@ CLASSES = (
     *present_sun.CLASSES,
     *frame_scale.CLASSES, *frame_level.CLASSES, *frame_north.CLASSES, *frame_ground.CLASSES, *frame_reset.CLASSES,
     *frame_position.CLASSES, *measure.CLASSES,
+    *control_points.CLASSES, *mark_points.CLASSES,
     *cloud_points.CLASSES, *self_check.CLASSES,
 )
 

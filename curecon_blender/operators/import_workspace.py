@@ -15,7 +15,7 @@ import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import BoolProperty, StringProperty
 
-from ..scene import cameras, history, points, surface, viewport, workspace
+from ..scene import cameras, control, history, points, surface, viewport, workspace
 from ..scene.surface import surfaces_of
 from ..scene.workspace import Imported, clouds_of
 from . import paths, running
@@ -47,6 +47,7 @@ def bring_in(
                 while turns == history.turns:  # an undo takes away what has been built
                     yield next(building)
             except StopIteration as end:
+                control.take_up(running.scene_with(session_uid), content.control, content.folder)
                 return _show(
                     context, running.scene_with(session_uid), folder, end.value, photos=photos, show=show)
 

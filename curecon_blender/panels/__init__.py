@@ -4,9 +4,9 @@
 
 from __future__ import annotations
 
-from . import cloud, frame, photos, preferences, present, reconstruct, result, surface
+from . import cloud, control, frame, photos, preferences, present, reconstruct, result, surface
 
 CLASSES = (
     *preferences.CLASSES, *photos.CLASSES, *reconstruct.CLASSES, *result.CLASSES, *cloud.CLASSES, *frame.CLASSES,
-    *surface.CLASSES, *present.CLASSES,
+    *control.CLASSES, *surface.CLASSES, *present.CLASSES,
 )

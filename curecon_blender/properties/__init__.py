@@ -21,8 +21,9 @@ from bpy.props import (
 from ..core.base.options import PRESETS
 from ..scene import cameras, surface, viewport
 from ..scene.workspace import clouds_of, hide
-from . import cloud, frame, photos, present, result
+from . import cloud, control, frame, photos, present, result
 from .cloud import CURECON_PG_cloud
+from .control import CURECON_PG_control
 from .frame import CURECON_PG_measurement
 from .photos import CURECON_PG_check
 from .present import CURECON_PG_present
@@ -201,10 +202,12 @@ class CURECON_PG_scene(bpy.types.PropertyGroup):
         name="Show Distances", description="Draw the measured distances over the viewports, but not over a photo",
         default=True, update=_redraw,
     )
+    control: PointerProperty(type=CURECON_PG_control, name="Control Points", description="Points that were measured")
     present: PointerProperty(type=CURECON_PG_present, name="Present", description="How the site is presented")
 
 
-CLASSES = (*photos.CLASSES, *cloud.CLASSES, *result.CLASSES, *frame.CLASSES, *present.CLASSES, CURECON_PG_scene)
+CLASSES = (*photos.CLASSES, *cloud.CLASSES, *result.CLASSES, *frame.CLASSES, *control.CLASSES, *present.CLASSES,
+           CURECON_PG_scene)
 
 
 def attach() -> None:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from dataclasses import astuple
 from pathlib import Path
 
 import bpy
@@ -13,6 +14,9 @@ from mathutils import Matrix
 from ..core.base.records import View
 
 SENSOR_WIDTH = 36.0  # millimetres; only the ratio of lens to sensor matters
+# On camera data: the view's name, the photo's file, its size (w, h) and EXIF orientation, and its lens.
+NAME_KEY, PHOTO_KEY, PHOTO_SIZE_KEY, TURN_KEY = "curecon_name", "curecon_photo", "curecon_photo_size", "curecon_turn"
+LENS_KEY = "curecon_lens"
 SIZE_KEY, ASPECT_KEY = "curecon_size", "curecon_pixel_aspect"  # on camera data: pixels (w, h) and fx / fy
 CAMERAS_KEY = "curecon_cameras"  # marks the collections that hold cameras
 BLENDER_FROM_OPENCV = np.diag([1.0, -1.0, -1.0])  # Blender's camera looks along -z with y up
@@ -34,6 +38,9 @@ def add(view: View, workspace: Path, collection: bpy.types.Collection, display_s
     data.clip_start, data.clip_end = view.near * 0.05, view.far * 10
     data.display_size = display_size
     data[SIZE_KEY], data[ASPECT_KEY] = [view.width, view.height], fx / fy
+    data[NAME_KEY], data[PHOTO_KEY] = view.name, view.original
+    if view.lens is not None and view.photo_size is not None:
+        data[LENS_KEY], data[PHOTO_SIZE_KEY], data[TURN_KEY] = astuple(view.lens), view.photo_size, view.photo_turn
 
     picture = workspace / view.image
     if picture.is_file():

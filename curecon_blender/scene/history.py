@@ -7,7 +7,7 @@ from __future__ import annotations
 import bpy
 from bpy.app.handlers import persistent
 
-from . import cloud_edits, frame
+from . import cloud_edits, control, frame
 from .workspace import clouds_of, sweep
 
 _EVENTS = ("undo_post", "redo_post")
@@ -31,4 +31,5 @@ def _follow(*_: object) -> None:
     sweep()
     for scene in bpy.data.scenes:
         frame.keep_up(scene)
+        control.keep_up(scene)
         cloud_edits.keep_up(clouds_of(scene))

@@ -50,27 +50,27 @@ def _draw() -> None:
     through_photo = context.region_data.view_perspective == "CAMERA" and cameras.is_overlaid(space.camera)
     if scene.curecon.show_measurements and space.overlay.show_overlays and not through_photo:
         for measurement in scene.curecon.measurements:
-            ends = [_on_screen(context, place) for place in (measurement.first, measurement.second)]
+            ends = [on_screen(context, place) for place in (measurement.first, measurement.second)]
             if ends[0] is not None and ends[1] is not None:
-                _lines(context, [ends[0], ends[1]], LINE)
-                _crosses(context, ends, LINE)
-                _label(context, (ends[0] + ends[1]) / 2, measurements.in_words(scene, measurement), LINE)
+                lines(context, [ends[0], ends[1]], LINE)
+                crosses(context, ends, LINE)
+                label(context, (ends[0] + ends[1]) / 2, measurements.in_words(scene, measurement), LINE)
     places = [*picked, *([hover] if hover is not None else [])]
-    ends = [end for place in places if (end := _on_screen(context, place)) is not None]
+    ends = [end for place in places if (end := on_screen(context, place)) is not None]
     if ends:
-        _lines(context, [end for pair in pairwise(ends) for end in pair], PICK)
-        _crosses(context, ends, PICK)
+        lines(context, [end for pair in pairwise(ends) for end in pair], PICK)
+        crosses(context, ends, PICK)
         for number, end in enumerate(ends[: len(picked)]):
-            _label(context, end, str(number + 1), PICK)
+            label(context, end, str(number + 1), PICK)
     gpu.state.blend_set("NONE")
 
 
-def _on_screen(context: bpy.types.Context, place: Sequence[float] | np.ndarray) -> Vector | None:
+def on_screen(context: bpy.types.Context, place: Sequence[float] | np.ndarray) -> Vector | None:
     found: Vector | None = view3d_utils.location_3d_to_region_2d(context.region, context.region_data, Vector(place))
     return found
 
 
-def _lines(context: bpy.types.Context, ends: list[Vector], colour: tuple[float, ...]) -> None:
+def lines(context: bpy.types.Context, ends: list[Vector], colour: tuple[float, ...]) -> None:
     """Each two of `ends` (pixels) joined by a line with a dark edge, which is seen on bright walls too."""
     if not ends:
         return
@@ -84,12 +84,12 @@ def _lines(context: bpy.types.Context, ends: list[Vector], colour: tuple[float, 
         batch.draw(shader)
 
 
-def _crosses(context: bpy.types.Context, ends: list[Vector], colour: tuple[float, ...]) -> None:
+def crosses(context: bpy.types.Context, ends: list[Vector], colour: tuple[float, ...]) -> None:
     arm = CROSS_PIXELS * context.preferences.system.ui_scale
-    _lines(context, [end + Vector(side) * arm for end in ends for side in ((-1, 0), (1, 0), (0, -1), (0, 1))], colour)
+    lines(context, [end + Vector(side) * arm for end in ends for side in ((-1, 0), (1, 0), (0, -1), (0, 1))], colour)
 
 
-def _label(context: bpy.types.Context, place: Vector, text: str, colour: tuple[float, ...]) -> None:
+def label(context: bpy.types.Context, place: Vector, text: str, colour: tuple[float, ...]) -> None:
     scale = context.preferences.system.ui_scale
     blf.size(0, TEXT_POINTS * scale)
     width, height = blf.dimensions(0, text)

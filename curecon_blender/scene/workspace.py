@@ -12,6 +12,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from ..core.adjust.control import ControlSet, read_control
 from ..core.base.records import Component
 from ..core.cloud.edits import is_stale, read_removed
 from ..core.cloud.ply import read_cloud
@@ -77,6 +78,7 @@ class Content:
     stale_edits: bool
     bounds: points.Bounds | None
     ground: tuple[float, float, float]
+    control: ControlSet
 
 
 def read(folder: Path) -> Content:
@@ -100,6 +102,7 @@ def read(folder: Path) -> Content:
     return Content(
         folder=folder, parts=tuple(parts), filled=filled_share(meshes),
         stale_edits=any(is_stale(folder / part.component.cloud) for part in parts), bounds=_bounds(parts),
+        control=read_control(folder),
         ground=next((backdrop.ground_colour(part.cloud) for part in parts if part.cloud is not None), backdrop.GREY),
     )
 

@@ -189,9 +189,15 @@ def _scans(image: Image.Image, path: Path) -> int:
     return path.read_bytes().count(b"\xff\xda") if image.format in ("JPEG", "MPO") else 1
 
 
+def orientation(path: Path) -> int:
+    """EXIF's orientation of a picture's file, 1 to 8, by which it is turned as it is read. Raises PhotoError."""
+    with open_image(path) as image:
+        return _orientation(image)
+
+
 def _orientation(image: Image.Image) -> int:
     value = exif_tags(image).get(_ORIENTATION, 1)
-    return value if isinstance(value, int) else 1
+    return value if isinstance(value, int) and 1 <= value <= 8 else 1
 
 
 def _draft(image: Image.Image, max_size: int | None) -> None:

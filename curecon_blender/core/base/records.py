@@ -140,6 +140,7 @@ class View:
     points: Annotated[int, Within(0, 100_000_000)] = 0
     lens: Lens | None = None  # of the photo itself, where its kind is known
     photo_size: tuple[_Pixels, _Pixels] | None = None
+    photo_turn: Annotated[int, Within(1, 8)] = 1  # EXIF's orientation of the photo's file
 
     @property
     def centre(self) -> np.ndarray:

@@ -71,6 +71,7 @@ def prepare_views(photo_set: PhotoSet, options: Options, workspace: Path, report
                 sources=tuple(sorted(scored, key=lambda s: -s[1])[: max(options.source_views, 1)]),
                 overlaps=tuple(model.images[i].name for i, _, _ in shared), original=str(photo.path),
                 points=len(inside), lens=lens_of(camera), photo_size=(camera.width, camera.height),
+                photo_turn=images.orientation(photo.path),
             ))
         kept = {view.name for view in views}
         components.append(Component(
