@@ -25,3 +25,9 @@ def test_a_sheet_states_the_scale_of_what_is_presented(blender: Path, tmp_path: 
     work = tmp_path / "work"
     work.mkdir()
     run_script(blender, "check_presented.py", work, resources=tmp_path / "user")
+
+
+def test_control_points_are_marked_kept_and_taken_back(blender: Path, tmp_path: Path) -> None:  # noqa: F811
+    work = tmp_path / "work"
+    work.mkdir()
+    run_script(blender, "check_control.py", work, resources=tmp_path / "user")

@@ -4,12 +4,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pycolmap
 import pytest
 from conftest import ROOT
+from PIL import Image, ImageOps
 
-from curecon_blender.core.adjust.marking import best_first, seen, to_pixels, to_rays, triangulate
+from curecon_blender.core.adjust.marking import best_first, seen, stored, stored_size, to_pixels, to_rays, triangulate
 from curecon_blender.core.base.records import Lens
 from curecon_blender.core.sparse.models import lens_of
 
@@ -79,3 +82,17 @@ def test_marks_from_one_direction_tell_no_place() -> None:
     rays, _ = seen(cameras, np.array([4.0, -3.0, 0.0]))
     assert triangulate(cameras[[0, 0]], rays[[0, 0]], np.ones(2)) is None
     assert triangulate(cameras[:1], rays[:1], np.ones(1)) is None
+
+
+@pytest.mark.parametrize("turn", range(1, 9))
+def test_a_displayed_pixel_is_found_in_a_file_that_is_turned(tmp_path: Path, turn: int) -> None:
+    marked = np.zeros((5, 7), np.uint8)
+    marked[1, 4] = 255
+    exif = Image.Exif()
+    exif[274] = turn
+    Image.fromarray(marked).save(tmp_path / "turned.png", exif=exif)
+    shown = np.asarray(ImageOps.exif_transpose(Image.open(tmp_path / "turned.png")))
+    (row,), (column,) = np.nonzero(shown)
+    size = (shown.shape[1], shown.shape[0])
+    np.testing.assert_allclose(stored(np.array([[column + 0.5, row + 0.5]]), size, turn), [[4.5, 1.5]])
+    np.testing.assert_allclose(stored_size(size, turn), (7, 5))

@@ -52,12 +52,16 @@ def _get_role(item: CURECON_PG_control_point) -> int:
     return _NUMBERS.index(point.role) if point is not None else _NUMBERS.index(OFF)
 
 
+def _set_role(item: CURECON_PG_control_point, value: int) -> None:
+    _change(item, role=_NUMBERS[value])
+
+
 class CURECON_PG_control_point(bpy.types.PropertyGroup):
     """A point on the list; what is known of it stands in the text."""
 
     name: StringProperty(name="Point", description="Its name, as it was imported")
     role: EnumProperty(name="Use", description="What the point is used for", items=ROLES, get=_get_role,
-                       set=lambda item, value: _change(item, role=_NUMBERS[value]))
+                       set=_set_role)
     sigma_plan: _sigma("sigma_plan", "Accuracy (m)", "How far it may be off in plan, in metres (one standard "
                        "deviation of east and of north)")
     sigma_height: _sigma("sigma_height", "Height (m)", "How far its height may be off, in metres (one standard "

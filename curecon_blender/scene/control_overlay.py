@@ -84,9 +84,9 @@ def _draw_in_photo(context: bpy.types.Context, camera: control.PhotoCamera) -> N
             crosses(context, [end], colour_of(point.role))
             label(context, end, point.name, colour_of(point.role))
     place = control.expected(scene, chosen) if chosen else None
-    if place is not None and (pixel := control.pixel_of(camera, place)) is not None:
-        near.append((pixel, EXPECTED))
-        if (end := control.on_screen(region, view, camera, pixel)) is not None:
+    if place is not None and (there := control.pixel_of(camera, place)) is not None:
+        near.append((there, EXPECTED))
+        if (end := control.on_screen(region, view, camera, there)) is not None:
             _ring(context, end, EXPECTED)
             if not any(mark.photo == camera.name for mark in found.marks_of(chosen)):
                 label(context, end, chosen, EXPECTED)

@@ -167,19 +167,23 @@ def adjust(scene: bpy.types.Scene, part: Part, adjustment: Adjustment) -> None:
 
 
 def forget_position(scene: bpy.types.Scene) -> None:
-    """Take the geodetic position of every part, and the one typed for the sun, out of the scene, so that a .blend can
-    be given away. The workspace keeps its own: an import brings it back."""
+    """Take the geodetic position of every part, the one typed for the sun and the control points out of the scene, so
+    that a .blend can be given away. The workspace keeps its own: an import brings it back."""
     for part in parts_of(scene):
         part.collection[FRAME_KEY] = json.dumps(asdict(replace(part.reconstructed, origin=None)))
         _put(part.collection, part.adjustment)
     for name in ("latitude", "longitude"):
         scene.curecon.present.property_unset(name)
+    control = scene.curecon.control
+    control.points.clear()
+    for name in ("text", "folder"):
+        control.property_unset(name)
 
 
 def has_position(scene: bpy.types.Scene) -> bool:
     """Whether the scene knows where on Earth it is."""
     present = scene.curecon.present
-    return (any(part.reconstructed.origin is not None for part in parts_of(scene))
+    return (any(part.reconstructed.origin is not None for part in parts_of(scene)) or bool(scene.curecon.control.points)
             or present.is_property_set("latitude") or present.is_property_set("longitude"))
 
 

@@ -14,6 +14,7 @@ import gpu
 import numpy as np
 from gpu_extras.batch import batch_for_shader
 
+from ..core.adjust.marking import stored, stored_size
 from ..core.base.shares import is_safe
 
 SIDE = 240.0  # pixels of the screen at interface scale 1
@@ -100,22 +101,6 @@ def draw(
     _outline(context, places)
 
 
-def stored_size(size: tuple[int, int], turn: int) -> np.ndarray:
-    """The size (2,) of a file whose picture, turned as EXIF says, is of `size`."""
-    return np.array(size[::-1] if turn >= 5 else size, float)
-
-
-def stored(pixels: np.ndarray, size: tuple[int, int], turn: int) -> np.ndarray:
-    """Pixels (N,2) of a photo as it is displayed, of `size`, to those of its file, by EXIF's orientation."""
-    x, y = pixels[:, 0], pixels[:, 1]
-    width, height = size
-    columns, rows = {
-        1: (x, y), 2: (width - x, y), 3: (width - x, height - y), 4: (x, height - y),
-        5: (y, x), 6: (y, width - x), 7: (height - y, width - x), 8: (height - y, x),
-    }[turn]
-    return np.stack([columns, rows], axis=1)
-
-
 def _fill(places: list[tuple[float, float]], colour: tuple[float, float, float, float]) -> None:
     shader = gpu.shader.from_builtin("UNIFORM_COLOR")
     shader.uniform_float("color", colour)
@@ -126,13 +111,13 @@ def _cross(
     context: bpy.types.Context, at: np.ndarray, arm: float, colour: tuple[float, float, float, float], *, gap: float
 ) -> None:
     """A cross that leaves its middle free."""
-    ends = [(*(at + np.array(side) * reach), 0.0) for side in ((1, 0), (-1, 0), (0, 1), (0, -1))
-            for reach in (gap, arm)]
+    sides = [np.array(side) for side in ((1, 0), (-1, 0), (0, 1), (0, -1))]
+    ends: list[tuple[float, ...]] = [(*(at + side * reach), 0.0) for side in sides for reach in (gap, arm)]
     _draw_lines(context, ends, colour)
 
 
 def _outline(context: bpy.types.Context, places: list[tuple[float, float]]) -> None:
-    ends = [(*places[i % 4], 0.0) for side in range(4) for i in (side, side + 1)]
+    ends: list[tuple[float, ...]] = [(*places[i % 4], 0.0) for side in range(4) for i in (side, side + 1)]
     _draw_lines(context, ends, EDGE)
 
 

@@ -9,13 +9,15 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from curecon_blender.core.base.records import Component, Frame, GeoPosition, Photo, PhotoSet, View
+from curecon_blender.core.base.records import Component, Frame, GeoPosition, Lens, Photo, PhotoSet, View
 from curecon_blender.core.cloud.ply import Cloud, CloudWriter
 from curecon_blender.core.photos.record import write_photos
 from curecon_blender.core.views.record import write as write_components
 
 POINTS = 2000
 SIZE = (64, 48)  # pixels of the pictures
+PHOTO_SIZE = (256, 192)  # of the photos themselves
+LENS = Lens(f=240.0, aspect=0.99, cx=130.0, cy=94.0, k1=0.05, k2=-0.02, p1=0.001, p2=-0.002, k3=0.0)
 PHOTOS = ("DJI_0001.JPG", "with space.png", "照片 3.jpg", "quote'd.jpg")
 
 
@@ -71,7 +73,8 @@ def write(folder: Path, *, parts: int = 1, scale: str = "metres", placed: bool =
             calibration, cam_from_world = camera(index)
             views.append(View(
                 name=name, image=f"undistorted/{name}.png", width=SIZE[0], height=SIZE[1], K=calibration,
-                cam_from_world=cam_from_world, near=4.0, far=20.0, sources=(),
+                cam_from_world=cam_from_world, near=4.0, far=20.0, sources=(), lens=LENS, photo_size=PHOTO_SIZE,
+                original=str(folder / "photos" / name),
             ))
         made.append(Component(
             index=part, sparse=f"sparse/{part}", cloud="cloud.ply" if part == 0 else f"cloud_{part}.ply",

@@ -125,3 +125,19 @@ def _is_hidden(centre: np.ndarray, place: np.ndarray, around: np.ndarray) -> boo
         return False
     aside = np.linalg.norm(np.cross(between, direction), axis=1)
     return bool((aside < WAY * length).sum() >= BLOCKING)
+
+
+def stored_size(size: tuple[int, int], turn: int) -> np.ndarray:
+    """The size (2,) of a file whose picture, turned as EXIF says, is of `size`."""
+    return np.array(size[::-1] if turn >= 5 else size, float)
+
+
+def stored(pixels: np.ndarray, size: tuple[int, int], turn: int) -> np.ndarray:
+    """Pixels (N,2) of a photo as it is displayed, of `size`, to those of its file, by EXIF's orientation."""
+    x, y = pixels[:, 0], pixels[:, 1]
+    width, height = size
+    columns, rows = {
+        1: (x, y), 2: (width - x, y), 3: (width - x, height - y), 4: (x, height - y),
+        5: (y, x), 6: (y, width - x), 7: (height - y, width - x), 8: (height - y, x),
+    }[turn]
+    return np.stack([columns, rows], axis=1)
