@@ -19,13 +19,8 @@ from curecon_blender.core.base import images
 from curecon_blender.core.base.errors import Cancelled, OutOfMemory, PhotoError
 from curecon_blender.core.base.messages import Message, Progress, Reporter
 from curecon_blender.core.base.options import Options
-from curecon_blender.core.photos.check import (
-    check_photos,
-    describe,
-    find_photos,
-    ground_sampling_distance,
-    write_thumbnails,
-)
+from curecon_blender.core.photos.check import check_photos, describe, ground_sampling_distance, write_thumbnails
+from curecon_blender.core.photos.find import find_photos
 from curecon_blender.core.run import pipeline
 from curecon_blender.core.run.workspace import Workspace
 

@@ -19,14 +19,13 @@ import pycolmap
 from ..base.messages import Reporter
 from ..base.records import Frame, Photo, PhotoSet
 from ..sparse.models import ADJUSTED, MAPPED, find_models, listed, read_model, write_components
-from ..sparse.placement import Placement, place
+from ..sparse.placement import BENT, Placement, place
 from ..sparse.record import FRAME_FILE, read_frame
 from .bundle import adjust
 from .conversion import registered, to_bundle, write_back
 from .priors import calibrations, gps_positions
 from .record import ACCURACY_FILE, Accuracy, PhotoResidual
 
-BENT = 5.0  # metres; a larger median distance from GPS is more than GPS errs by
 CONTRADICTS = 15.0, 10.0  # metres, times the median: a photo farther than both from its GPS is named
 MOST_PHOTOS = 1500  # the reduced system is a full matrix: 0.7 GB, and some copies of it
 # Beyond these a calibration is not this camera's: times the mapper's reprojection error, sigmas of the focal length.

@@ -42,8 +42,8 @@ def to_bundle(
         lenses[image.camera_id].f / model.camera(image.camera_id).mean_focal_length() for image in images
     ]))
     positions, position_sigmas = gps_positions([photos[image.name] for image in images], origin)
-    given = np.isfinite(position_sigmas[:, 0])
-    shift = np.median((positions - centres)[given], axis=0)
+    off = np.where(np.isfinite(position_sigmas), positions - centres, np.nan)
+    shift = np.array([np.median(told[np.isfinite(told)]) if np.isfinite(told).any() else 0.0 for told in off.T])
     gimbals = [photos[image.name].gimbal for image in images]
     return Bundle(
         rotations=turns, centres=centres + shift, lens_of=np.array([cameras.index(i.camera_id) for i in images]),

@@ -36,12 +36,13 @@ def lens_sigmas(lens: Lens, width: int) -> list[float]:
 
 
 def gps_positions(photos: Sequence[Photo], origin: GeoPosition) -> tuple[np.ndarray, np.ndarray]:
-    """GPS (N,3) in metres east, north, up of the origin, and its sigmas (N,3), infinite for photos without."""
+    """GPS (N,3) in metres east, north, up of the origin, and its sigmas (N,3), infinite where there is none."""
     positions, sigmas = np.zeros((len(photos), 3)), np.full((len(photos), 3), np.inf)
     for n, photo in enumerate(photos):
         if photo.gps is not None:
-            place = np.array([[photo.gps.latitude, photo.gps.longitude, photo.gps.altitude]])
+            altitude = photo.gps.altitude
+            place = np.array([[photo.gps.latitude, photo.gps.longitude, altitude or origin.altitude or 0.0]])
             positions[n] = geodetic_to_enu(place, origin)[0]
             plan, height = photo.gps_sigmas or _GPS_SIGMAS
-            sigmas[n] = plan, plan, height
+            sigmas[n] = plan, plan, height if altitude is not None else np.inf
     return positions, sigmas

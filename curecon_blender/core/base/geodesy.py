@@ -25,20 +25,22 @@ _FROM_GRID = (
     17 / 480 * _N**3 - 37 / 840 * _N**4, 4397 / 161280 * _N**4,
 )
 _UTM_SCALE, _UTM_EASTING, _UTM_SOUTHING = 0.9996, 500_000.0, 10_000_000.0
+SAME_ALTITUDE = 0.001  # metres
 
 
 def geodetic_to_enu(positions: np.ndarray, origin: GeoPosition) -> np.ndarray:
     """(N,3) latitude, longitude (degrees), altitude (metres) on WGS84 -> (N,3) metres east, north, up of `origin`.
 
-    Altitudes count from the origin's own datum: over a site the geoid is as good as parallel to the ellipsoid.
+    Altitudes count from the origin's own datum: over a site the geoid is as good as parallel to the ellipsoid. Those of
+    an origin without one count from 0.
     """
-    reference = np.array([[origin.latitude, origin.longitude, origin.altitude]])
+    reference = np.array([[origin.latitude, origin.longitude, origin.altitude or 0.0]])
     return (_ecef(positions) - _ecef(reference)) @ _enu_from_ecef(origin).T
 
 
 def enu_to_geodetic(enu: np.ndarray, origin: GeoPosition) -> np.ndarray:
     """The inverse of `geodetic_to_enu`: (N,3) metres -> (N,3) degrees, degrees, metres."""
-    reference = np.array([[origin.latitude, origin.longitude, origin.altitude]])
+    reference = np.array([[origin.latitude, origin.longitude, origin.altitude or 0.0]])
     x, y, z = (enu @ _enu_from_ecef(origin) + _ecef(reference)).T
     across = np.hypot(x, y)
     latitude = np.arctan2(z, across * (1 - _WGS84_E2))
@@ -52,14 +54,23 @@ def enu_to_geodetic(enu: np.ndarray, origin: GeoPosition) -> np.ndarray:
 
 
 def gps_enu(photos: Sequence[Photo]) -> tuple[np.ndarray, GeoPosition]:
-    """Camera positions (N,3) in metres east, north, up of their median; every photo must have GPS. The median's
-    altitude is of unknown datum where the photos' data differ."""
+    """Camera positions (N,3) in metres east, north, up of their median; every photo must have GPS.
+
+    A photo without an altitude counts as high as the median. The median's altitude is None where no photo has one, and
+    of unknown datum where the photos' data differ.
+    """
     places = [photo.gps for photo in photos if photo.gps is not None]
-    positions = np.array([[place.latitude, place.longitude, place.altitude] for place in places])
-    latitude, longitude, altitude = np.median(positions, axis=0).tolist()
-    data = {place.altitude_datum for place in places}
+    known = [place for place in places if place.altitude is not None]
+    altitude = float(np.median([place.altitude for place in known])) if known else None
+    positions = np.array([
+        [place.latitude, place.longitude, (altitude or 0.0) if place.altitude is None else place.altitude]
+        for place in places
+    ])
+    first = positions[0, 1]  # the longitudes may lie on both sides of 180 degrees
+    longitude = first + float(np.median(_within_180(positions[:, 1] - first)))
+    data = {place.altitude_datum for place in known}
     origin = GeoPosition(
-        latitude=latitude, longitude=longitude, altitude=altitude,
+        latitude=float(np.median(positions[:, 0])), longitude=float(_within_180(longitude)), altitude=altitude,
         altitude_datum=data.pop() if len(data) == 1 else UNKNOWN,
     )
     return geodetic_to_enu(positions, origin), origin
@@ -104,6 +115,20 @@ def _series(xi: np.ndarray, eta: np.ndarray, terms: tuple[float, ...]) -> tuple[
         north += term * np.sin(2 * j * xi) * np.cosh(2 * j * eta)
         east += term * np.cos(2 * j * xi) * np.sinh(2 * j * eta)
     return north, east
+
+
+def altitudes_tell(photos: Sequence[Photo]) -> np.ndarray:
+    """Whether each photo's altitude (N,) tells its height. None does where it is the same in different places: that was
+    written by something else than a receiver."""
+    told = np.array([photo.gps is not None and photo.gps.altitude is not None for photo in photos], bool)
+    places = {(photo.gps.latitude, photo.gps.longitude): photo.gps.altitude for photo in photos
+              if photo.gps is not None and photo.gps.altitude is not None}
+    constant = len(places) >= 3 and float(np.ptp(list(places.values()))) < SAME_ALTITUDE
+    return np.zeros_like(told) if constant else told
+
+
+def _within_180(degrees: np.ndarray | float) -> np.ndarray:
+    return np.asarray((np.asarray(degrees) + 180) % 360 - 180)
 
 
 def _ecef(positions: np.ndarray) -> np.ndarray:

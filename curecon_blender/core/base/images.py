@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import struct
 import warnings
 import zlib
@@ -35,6 +36,8 @@ Image.MAX_IMAGE_PIXELS = None
 warnings.filterwarnings("ignore", module=r"PIL\.")
 
 _ORIENTATION = 0x0112
+_MARKER = re.compile(rb"\xff[\x01-\xcf\xd8-\xfe]")  # of a JPEG, but for those in the midst of a scan's data
+_SCAN, _END = 0xDA, 0xD9
 _TRANSPOSITIONS = {
     2: Image.Transpose.FLIP_LEFT_RIGHT, 3: Image.Transpose.ROTATE_180, 4: Image.Transpose.FLIP_TOP_BOTTOM,
     5: Image.Transpose.TRANSPOSE, 6: Image.Transpose.ROTATE_270, 7: Image.Transpose.TRANSVERSE,
@@ -185,8 +188,14 @@ def _photo_errors(path: Path) -> Iterator[None]:
 
 
 def _scans(image: Image.Image, path: Path) -> int:
-    """How many times a decoder must go over a JPEG."""
-    return path.read_bytes().count(b"\xff\xda") if image.format in ("JPEG", "MPO") else 1
+    """How many times a decoder must go over a JPEG, up to its end: phones put a video behind it."""
+    if image.format not in ("JPEG", "MPO"):
+        return 1
+    content, place, scans = path.read_bytes(), 2, 0
+    while (marker := _MARKER.search(content, place)) is not None and content[marker.end() - 1] != _END:
+        place = marker.end() + int.from_bytes(content[marker.end() : marker.end() + 2], "big")
+        scans += content[marker.end() - 1] == _SCAN
+    return scans
 
 
 def orientation(path: Path) -> int:

@@ -77,6 +77,9 @@ class Options:
     until: str = "fusion"
     quality: str = field(default="standard", metadata=_as(
         "--quality", "how fine the result is, and how long it takes", choices=QUALITIES))
+    surplus: bool = field(default=False, metadata=_as(
+        "--surplus", "use pictures, too, that are no photos of this job: thermal ones and single bands beside colour "
+        "photos, panoramas, maps, screenshots, copies", commands=(RUN, CHECK)))
     model: Path | None = field(default=None, metadata=_as(
         "--model", "a COLMAP model (text or binary) in place of the sparse stage", unit="folder"))
     max_image_size: int | None = field(default=None, metadata=_as(

@@ -21,11 +21,12 @@ _SIGMA = Annotated[float, Within(1e-4, 1000)]
 
 @dataclass(frozen=True, kw_only=True)
 class GeoPosition:
-    """A geodetic position on WGS84: degrees, degrees, metres above what `altitude_datum` says."""
+    """A geodetic position on WGS84: degrees, degrees, metres above what `altitude_datum` says; without an altitude
+    where nothing tells it."""
 
     latitude: Annotated[float, Within(-90, 90)]
     longitude: Annotated[float, Within(-180, 180)]
-    altitude: Annotated[float, Within(-100_000, 100_000)]
+    altitude: Annotated[float, Within(-100_000, 100_000)] | None
     altitude_datum: Annotated[str, OneOf(ELLIPSOID, SEA_LEVEL, UNKNOWN)] = UNKNOWN
 
 
@@ -87,6 +88,7 @@ class SkippedPhoto:
 
     path: Path
     reason: str
+    kind: str = ""  # what it is, where it is no photo of the job ("thermal picture", "video"...)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import re
 import unicodedata
 from collections import Counter
 from collections.abc import Iterable
@@ -20,10 +19,12 @@ import numpy as np
 
 from ..base import images
 from ..base.errors import OutOfMemory, PhotoError
-from ..base.files import JOB_FOLDERS, PRESENTATION
+from ..base.geodesy import altitudes_tell
 from ..base.messages import Reporter
-from ..base.records import Photo, PhotoSet, SkippedPhoto
+from ..base.records import UNKNOWN, Photo, PhotoSet, SkippedPhoto
 from . import metadata, overlap
+from .find import Files, find_files, listed, remedy_for
+from .kinds import Examined, find_surplus, preview_of
 
 MIN_PHOTOS = 3
 MIN_SIDE = 200  # pixels: below it there is no detail to match
@@ -35,28 +36,25 @@ WHITE, OVEREXPOSED = 250, 0.35
 BLACK, UNDEREXPOSED = 10, 0.15
 THUMBNAIL_SIZE = 256  # pixels, longest side
 MOST_THUMBNAILS = 48
+SAME_FOCAL = 0.05  # relative difference of focal lengths that are the same
+_OVERRULE = "Surplus pictures are used if you ask for them."
 _MAX_STEM = 50  # characters of a name, so that NAME.jpg and NAME.npz stay within every file system's limit
-_OTHER_KINDS = {
-    ".dng": "raw", ".cr2": "raw", ".cr3": "raw", ".nef": "raw", ".arw": "raw", ".raf": "raw", ".orf": "raw",
-    ".rw2": "raw", ".heic": "HEIC", ".heif": "HEIC", ".mp4": "video", ".mov": "video", ".avi": "video", ".mts": "video",
-}
-_OTHER_REMEDIES = {
-    "raw": "Export the raw photos as JPEG.", "HEIC": "Export the HEIC photos as JPEG.",
-    "video": "Save still frames of the video as JPEG.",
-}
 
 
-def check_photos(source: Path, reporter: Reporter, paths: list[Path] | None = None) -> PhotoSet:
-    """Find the photos in `source` and one level of folders below it, decode each, and read what its metadata says.
+def check_photos(
+    source: Path, reporter: Reporter, paths: list[Path] | None = None, *, surplus: bool = False
+) -> PhotoSet:
+    """Find the photos in `source` (see `find_files`), decode each, and read what its metadata says.
 
     `paths` are what `find_photos` found in `source`, for a caller who has looked already: files that came since are not
     taken up, those that went are left out.
-    Files that cannot be used are left out with a reason and a warning; blurred and badly exposed photos are used, with
-    a warning.
+    Files that cannot be used are left out with a reason and a warning, and so are pictures that are no photos of the
+    job, unless `surplus` asks for them; blurred and badly exposed photos are used, with a warning.
     Raises PhotoError when `source` is missing or no folder, or holds fewer than MIN_PHOTOS usable photos.
     """
-    paths = find_photos(source) if paths is None else paths
-    results: list[Photo | SkippedPhoto] = []
+    files = find_files(source)
+    results: list[Examined | SkippedPhoto] = []
+    paths = files.pictures if paths is None else paths
     threads = images.readers(max(map(_pixels, paths)), os.cpu_count() or 1)
     workers = ThreadPoolExecutor(threads, thread_name_prefix="photos")
     try:
@@ -68,42 +66,21 @@ def check_photos(source: Path, reporter: Reporter, paths: list[Path] | None = No
     examined, skipped = _without_duplicates(results)
     for skip in skipped:
         reporter.warning(f"Left out: {skip.reason}")
+    if not surplus:
+        examined, left_out = _without_surplus(examined, reporter)
+        skipped += left_out
+    skipped += _unreadable(files, reporter)
     if len(examined) < MIN_PHOTOS:
         if any(skip.reason.startswith(images.NO_MEMORY_FOR) for skip in skipped):
             raise OutOfMemory
         raise _too_few(source, len(examined), skipped)
-    photos = _with_names(source, _with_sharpness(examined))
+    _tell_of_xmp(examined, reporter)
+    photos = _with_names(source, _with_sharpness(_with_altitudes(_with_zoom(examined), reporter)))
     for problem in ("blurred", "overexposed", "underexposed"):
         if names := [photo.name for photo in photos if problem in _problems(photo)]:
             text = "1 photo looks" if len(names) == 1 else f"{len(names)} photos look"
-            reporter.warning(f"{text} {problem} and will still be used: {_listed(names)}.")
+            reporter.warning(f"{text} {problem} and will still be used: {listed(names)}.")
     return PhotoSet(photos=tuple(photos), skipped=tuple(skipped))
-
-
-def find_photos(source: Path) -> list[Path]:
-    """The picture files in `source` and one level below it (drones write DCIM/100MEDIA), in natural order of names.
-
-    Hidden files and folders are passed over. Raises PhotoError when there are none.
-    """
-    if source.is_file():
-        raise PhotoError(
-            f"{source} is a single file: a reconstruction needs a folder of photos.",
-            remedy="Choose the folder that holds all the photos of the site.", path=source,
-        )
-    if not source.is_dir():
-        raise PhotoError(f"The folder {source} does not exist.", remedy="Choose the folder of the photos.", path=source)
-    folders = _visible(source, folders=True)
-    if (source / "workspace.json").exists():  # the photos' folder is the workspace too: do not take up our own results
-        folders = [f for f in folders if not JOB_FOLDERS.fullmatch(f.name) and f.name != PRESENTATION]
-    files = [
-        path
-        for folder in (source, *sorted(folders, key=lambda folder: _natural(folder.name)))
-        for path in sorted(_visible(folder, folders=False), key=lambda path: _natural(path.name))
-    ]
-    found = [path for path in files if path.suffix.lower() in images.SUFFIXES]
-    if not found:
-        raise _none_found(source, files)
-    return found
 
 
 def ground_sampling_distance(photo_set: PhotoSet) -> float | None:
@@ -153,7 +130,9 @@ def describe(photo_set: PhotoSet) -> dict[str, Any]:
             {"name": photo.name, "path": str(photo.path), "problems": _problems(photo)}
             for photo in photos if _problems(photo)
         ],
-        "skipped": [{"path": str(skip.path), "reason": skip.reason} for skip in photo_set.skipped],
+        "skipped": [
+            {"path": str(skip.path), "reason": skip.reason, "kind": skip.kind} for skip in photo_set.skipped
+        ],
     }
 
 
@@ -161,24 +140,6 @@ def _overlap(photos: tuple[Photo, ...]) -> dict[str, Any]:
     found = overlap.estimate(photos)
     forward, side = (None if share is None else round(share, 2) for share in (found.forward, found.side))
     return {"forward": forward, "side": side, "weak": list(found.weak), "unknown": found.unknown}
-
-
-def _visible(folder: Path, *, folders: bool) -> list[Path]:
-    """A folder's entries without hidden ones, among them macOS's `._` shadows of photos on memory cards."""
-    try:
-        entries = [entry for entry in folder.iterdir() if not entry.name.startswith(".")]
-        return sorted(entry for entry in entries if (entry.is_dir() if folders else entry.is_file()))
-    except FileNotFoundError:  # gone since it was listed
-        return []
-    except PermissionError as error:
-        remedy = "Change its permissions, or copy the photos elsewhere."
-        raise PhotoError(f"No permission to read the folder {folder}.", remedy=remedy, path=folder) from error
-
-
-def _natural(name: str) -> list[tuple[int, str]]:
-    """A sort key that puts DJI_2 before DJI_10."""
-    parts = re.split(r"(\d+)", name.casefold())  # text at even places, digits at odd ones
-    return [(int(part), "") if place % 2 else (0, part) for place, part in enumerate(parts)]
 
 
 def _pixels(path: Path) -> int:
@@ -190,7 +151,7 @@ def _pixels(path: Path) -> int:
         return 0
 
 
-def _examine(path: Path) -> Photo | SkippedPhoto:
+def _examine(path: Path) -> Examined | SkippedPhoto:
     if not images.is_text(path):
         return SkippedPhoto(path=path, reason=f"{images.shown(path)} has a name or a folder whose letters are no text.")
     try:
@@ -203,7 +164,7 @@ def _examine(path: Path) -> Photo | SkippedPhoto:
             rgb = images.decode(image, path, SHARPNESS_SIZE)
     except PhotoError as error:
         return SkippedPhoto(path=path, reason=error.message)
-    return Photo(
+    photo = Photo(
         name=path.name, path=path, width=width, height=height,
         camera=f"{told.camera or 'unknown camera'} {width}x{height}", focal_px=told.focal_px, lens=told.lens,
         gps=told.gps, gps_sigmas=told.gps_sigmas, gimbal=told.gimbal, relative_altitude=told.relative_altitude,
@@ -211,6 +172,10 @@ def _examine(path: Path) -> Photo | SkippedPhoto:
         overexposed=bool((rgb.min(axis=2) >= WHITE).mean() >= OVEREXPOSED),
         underexposed=bool((rgb.max(axis=2) <= BLACK).mean() >= UNDEREXPOSED),
         digest=hashlib.sha256(rgb.tobytes()).hexdigest(),
+    )
+    return Examined(
+        photo=photo, hints=told.hints, xmp_fault=told.xmp_fault, zoom=told.zoom, body=(told.body, width, height),
+        preview=preview_of(rgb),
     )
 
 
@@ -241,21 +206,88 @@ def _with_sharpness(photos: list[Photo]) -> list[Photo]:
 
 
 def _without_duplicates(
-    results: Iterable[Photo | SkippedPhoto],
-) -> tuple[list[Photo], list[SkippedPhoto]]:
+    results: Iterable[Examined | SkippedPhoto],
+) -> tuple[list[Examined], list[SkippedPhoto]]:
     first: dict[str, Path] = {}
-    examined: list[Photo] = []
+    examined: list[Examined] = []
     skipped: list[SkippedPhoto] = []
     for result in results:
         if isinstance(result, SkippedPhoto):
             skipped.append(result)
-        elif result.digest in first:
-            reason = f"{images.shown(result.path)} is the same picture as {images.shown(first[result.digest])}."
-            skipped.append(SkippedPhoto(path=result.path, reason=reason))
+        elif result.photo.digest in first:
+            path, same = result.photo.path, first[result.photo.digest]
+            skipped.append(SkippedPhoto(path=path, reason=f"{images.shown(path)} is the same picture as "
+                                                          f"{images.shown(same)}."))
         else:
-            first[result.digest] = result.path
+            first[result.photo.digest] = result.photo.path
             examined.append(result)
     return examined, skipped
+
+
+def _without_surplus(examined: list[Examined], reporter: Reporter) -> tuple[list[Examined], list[SkippedPhoto]]:
+    """Without the pictures that are no photos of the job; each kind is told of once."""
+    found = find_surplus(examined)
+    kinds: dict[str, list[Path]] = {}
+    for path, surplus in found.items():
+        kinds.setdefault(surplus.kind, []).append(path)
+    for kind, paths in kinds.items():
+        if len(paths) == 1:
+            reporter.warning(f"Left out: {found[paths[0]].reason} {_OVERRULE}")
+        else:
+            names = listed([images.shown(path) for path in paths])
+            reporter.warning(f"Left out: {len(paths)} pictures, each a {kind}: {names}. {_OVERRULE}")
+    left = [picture for picture in examined if picture.photo.path not in found]
+    return left, [SkippedPhoto(path=path, reason=it.reason, kind=it.kind) for path, it in found.items()]
+
+
+def _unreadable(files: Files, reporter: Reporter) -> list[SkippedPhoto]:
+    """What lies beside the photos and cannot be read, each kind told of once."""
+    found = files.unreadable()
+    for kind, skips in found.items():
+        count = f"1 {kind} file is" if len(skips) == 1 else f"{len(skips)} {kind} files are"
+        names = listed([images.shown(skip.path) for skip in skips])
+        reporter.warning(f"{count} not used, since this kind is not read here: {names}. {remedy_for(kind)}")
+    return [skip for skips in found.values() for skip in skips]
+
+
+def _tell_of_xmp(examined: list[Examined], reporter: Reporter) -> None:
+    if faulty := [picture for picture in examined if picture.xmp_fault]:
+        of = "1 photo" if len(faulty) == 1 else f"{len(faulty)} photos"
+        names = listed([images.shown(picture.photo.path) for picture in faulty])
+        reporter.warning(
+            f"The XMP of {of} is faulty; what is sound in it is used: {names}. "
+            f"That of {images.shown(faulty[0].photo.path)} {faulty[0].xmp_fault}."
+        )
+
+
+def _with_zoom(examined: list[Examined]) -> list[Photo]:
+    """The photos, with a digital zoom in their focal length where their 35 mm equivalent leaves it out: where that is
+    the same as in photos that the camera took without zoom."""
+    unzoomed = {}
+    for picture in examined:
+        if picture.zoom == 1 and picture.photo.focal_px:
+            unzoomed[picture.body] = picture.photo.focal_px
+    photos = []
+    for picture in examined:
+        photo, focal = picture.photo, picture.photo.focal_px
+        if picture.zoom != 1 and focal and abs(unzoomed.get(picture.body, 0.0) / focal - 1) < SAME_FOCAL:
+            photo = replace(photo, focal_px=focal * picture.zoom, lens=None)
+        photos.append(photo)
+    return photos
+
+
+def _with_altitudes(photos: list[Photo], reporter: Reporter) -> list[Photo]:
+    """Without altitudes that tell nothing."""
+    located = [photo for photo in photos if photo.gps is not None and photo.gps.altitude is not None]
+    if not located or altitudes_tell(located).all():
+        return photos
+    assert located[0].gps is not None
+    reporter.warning(
+        f"All photos have the same GPS altitude ({located[0].gps.altitude:.1f} m), which is not used: no receiver "
+        "measured it."
+    )
+    return [replace(photo, gps=photo.gps and replace(photo.gps, altitude=None, altitude_datum=UNKNOWN))
+            for photo in photos]
 
 
 def _with_names(source: Path, photos: list[Photo]) -> list[Photo]:
@@ -284,29 +316,10 @@ def _safe(name: str) -> str:
     return (stem.strip(".")[:_MAX_STEM] or "photo") + suffix
 
 
-def _none_found(source: Path, files: list[Path]) -> PhotoError:
-    if not files:
-        return PhotoError(
-            f"The folder {source} is empty.", remedy="Choose the folder that holds the photos themselves.", path=source
-        )
-    kinds = Counter(path.suffix.lower() or "files without a suffix" for path in files)
-    listed = _listed([f"{count} {kind.upper() if kind[0] == '.' else kind}" for kind, count in kinds.most_common()])
-    known = dict.fromkeys(_OTHER_KINDS[suffix] for suffix in kinds if suffix in _OTHER_KINDS)
-    remedy = " ".join(_OTHER_REMEDIES[kind] for kind in known) or "Choose the folder that holds the photos themselves."
-    return PhotoError(
-        f"There are no JPEG, PNG or TIFF photos in {source}, only other files: {listed}.", remedy=remedy, path=source
-    )
-
-
 def _too_few(source: Path, usable: int, skipped: list[SkippedPhoto]) -> PhotoError:
     found = f"only {usable} usable photo{'' if usable == 1 else 's'}" if usable else "no usable photo"
-    left_out = f" Left out: {_listed([skip.reason.rstrip('.') for skip in skipped], ';')}." if skipped else ""
+    left_out = f" Left out: {listed([skip.reason.rstrip('.') for skip in skipped], ';')}." if skipped else ""
     return PhotoError(
         f"There is {found} in {source}: a reconstruction needs at least {MIN_PHOTOS}.{left_out}",
         remedy="Add photos of the same site that overlap by two thirds or more.", path=source,
     )
-
-
-def _listed(items: list[str], separator: str = ",", most: int = 10) -> str:
-    more = [f"and {len(items) - most} more"] if len(items) > most else []
-    return f"{separator} ".join([*items[:most], *more])

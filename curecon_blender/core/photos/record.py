@@ -20,7 +20,7 @@ def write_photos(workspace: Path, photo_set: PhotoSet) -> None:
     """Write `photos.json` (atomically) into the workspace folder. Raises WorkspaceError."""
     write_json(workspace / FILE_NAME, {
         "photos": [{**asdict(photo), "path": str(photo.path)} for photo in photo_set.photos],
-        "skipped": [{"path": str(skip.path), "reason": skip.reason} for skip in photo_set.skipped],
+        "skipped": [{**asdict(skip), "path": str(skip.path)} for skip in photo_set.skipped],
     })
 
 

@@ -65,7 +65,7 @@ def check(options: Options, thumbnails: Path | None, reporter: Reporter) -> dict
     assert options.photos is not None
     reporter.begin({"photos": 1.0})
     reporter.stage("photos")
-    photo_set = check_photos(options.photos, reporter)
+    photo_set = check_photos(options.photos, reporter, surplus=options.surplus)
     summary = describe(photo_set)
     if thumbnails is not None:
         files = write_thumbnails(photo_set, thumbnails)

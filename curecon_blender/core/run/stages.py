@@ -29,7 +29,8 @@ from ..depth.cluster import spread_depths
 from ..depth.estimate import estimate_depths
 from ..network import weights
 from ..photos import record as photos_record
-from ..photos.check import check_photos, find_photos
+from ..photos.check import check_photos
+from ..photos.find import find_photos
 from ..photos.record import read_photos, write_photos
 from ..sparse import find_cameras
 from ..surface.build import MeshOptions, build_mesh
@@ -97,7 +98,9 @@ def _photo_files(job: Job) -> dict[str, Any]:
 
 def _check(job: Job) -> None:
     assert job.options.photos is not None
-    photo_set = check_photos(job.options.photos.absolute(), job.reporter, list(job.files))
+    photo_set = check_photos(
+        job.options.photos.absolute(), job.reporter, list(job.files), surplus=job.options.surplus
+    )
     write_photos(job.root, photo_set)
 
 
@@ -261,8 +264,8 @@ DEPTH = Stage(
     inputs=_weights, in_budget=True,
 )
 STAGES = {stage.name: stage for stage in (
-    Stage(name="photos", version=2, weight=0.02, files=(photos_record.FILE_NAME,), run=_check, inputs=_photo_files,
-          load=_load_photos),
+    Stage(name="photos", version=3, weight=0.02, files=(photos_record.FILE_NAME,), run=_check, inputs=_photo_files,
+          load=_load_photos, options=("surplus",)),
     Stage(name="sparse", version=3, weight=0.2, files=("sparse/mapped/[0-9]*/*",), run=_find_cameras,
           options=("preset.sfm_image_size", "preset.max_features"), inputs=_model),
     Stage(name="adjust", version=1, weight=0.02, run=_adjust,

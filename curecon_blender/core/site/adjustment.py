@@ -167,7 +167,7 @@ def adjusted_frame(frame: Frame, adjustment: Adjustment) -> Frame:
     if not said:
         return frame
     origin = frame.origin
-    if origin is not None:
+    if origin is not None and origin.altitude is not None:
         origin = replace(origin, altitude=origin.altitude - adjustment.lift)
     return replace(
         frame, scale=frame.scale if scale is None else "metres", up=frame.up if level is None else "measured",

@@ -12,15 +12,19 @@ import numpy as np
 import pycolmap
 
 from ..base import rotations
-from ..base.geodesy import enu_to_geodetic, geodetic_to_enu, gps_enu
+from ..base.geodesy import altitudes_tell, enu_to_geodetic, geodetic_to_enu, gps_enu
 from ..base.ground import lowest_wide_level
-from ..base.records import Frame, Photo
+from ..base.records import Frame, GeoPosition, Photo
 
 SHORTEST_BASELINE = 5.0  # metres; GPS positions closer together than this say nothing of scale
 WORST_AGREEMENT = 0.4  # median residual over the median distance from the GPS positions' centre; 1 is no agreement
+BENT = 5.0  # metres; a larger median distance from GPS is more than GPS errs by
+CONTRADICTED = 0.1  # median residual over the same distance: above it, and above BENT, lengths are no metres
 LINE = 0.05  # spread across a flight as a share of the spread along it; below it the flight counts as a straight line
 NEAR = 2.5  # times the points' median distance from the site's middle: land farther off has its own ground
 TYPICAL_DISTANCE = 10.0  # units from camera to points where the scale is unknown
+_UP = np.array([0.0, 0.0, 1.0])
+_LEVEL_SIGMA = 0.01  # degrees; of an up that is taken as it is
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +41,8 @@ def place(model: pycolmap.Reconstruction, photos: Mapping[str, Photo]) -> Placem
     middle, on the ground.
 
     By GPS where at least three photos have it, spread over more than a few metres and in agreement with the model;
-    else Z up by gravity (gimbal angles, or level cameras) and a scale said to be unknown.
+    else Z up by gravity (gimbal angles, or level cameras) and a scale said to be unknown. Where GPS tells no altitudes,
+    up is gravity's too, and the places in plan give scale and north.
     """
     cameras = _cameras(model, photos)
     gravity = up_from_cameras(cameras)
@@ -45,14 +50,24 @@ def place(model: pycolmap.Reconstruction, photos: Mapping[str, Photo]) -> Placem
     if len(located) < 3:
         why = "No GPS in the photos" if not located else f"Only {len(located)} of these photos have GPS"
         return _place_by_gravity(model, cameras, gravity, why)
-    gps, origin = gps_enu([cameras.photos[i] for i in located])
+    places = [cameras.photos[i] for i in located]
+    gps, origin = gps_enu(places)
+    heights = altitudes_tell(places)
+    level = heights.sum() < max(3, len(places) / 2)
+    if level:
+        gps[:, 2] = 0
     extent = float(np.linalg.norm(np.ptp(gps, axis=0)))
     if extent < SHORTEST_BASELINE:
         return _place_by_gravity(
             model, cameras, gravity, f"All photos have GPS within {extent:.1f} m, too close together to tell the scale"
         )
-    fit = align_to_gps(cameras.centres[located], gps, gravity)
-    if fit.median_residual > WORST_AGREEMENT * float(np.median(np.linalg.norm(gps - gps.mean(0), axis=1))):
+
+    def fit_to(gps: np.ndarray) -> GpsFit:
+        return align_to_gps(cameras.centres[located], gps, gravity, np.zeros_like(heights) if level else heights)
+
+    fit = fit_to(gps)
+    reach = float(np.median(np.linalg.norm(gps - gps.mean(0), axis=1)))
+    if fit.median_residual > WORST_AGREEMENT * reach:
         return _place_by_gravity(
             model, cameras, gravity,
             f"The photos' GPS does not agree with their camera positions ({fit.median_residual:.1f} m off over "
@@ -61,20 +76,44 @@ def place(model: pycolmap.Reconstruction, photos: Mapping[str, Photo]) -> Placem
     # Move the origin from the cameras to the site's middle, then fit once more: ENU axes turn a little with the place.
     middle = _middle_on_the_ground(_apply(fit.enu_from_model, _points(model)))
     latitude, longitude, altitude = enu_to_geodetic(middle[None], origin)[0].tolist()
-    site = replace(origin, latitude=latitude, longitude=longitude, altitude=altitude)
-    fit = align_to_gps(cameras.centres[located], geodetic_to_enu(enu_to_geodetic(gps, origin), site), gravity)
-    note = f"Metres, Z up and north from the GPS of {len(located)} photos, {fit.median_residual:.2f} m off (median)."
-    if fit.on_a_line:
-        note = note[:-1] + f"; the flight is a straight line, so the tilt about it comes from {gravity.source}."
-    frame = Frame(
-        scale="metres", up="gravity" if fit.on_a_line else "gps", north=True, origin=site,
-        gps_residual=fit.median_residual, note=note,
-    )
-    names = [cameras.photos[i].name for i in located]
+    site = replace(origin, latitude=latitude, longitude=longitude, altitude=None if level else altitude)
+    gps = geodetic_to_enu(enu_to_geodetic(gps, origin), replace(site, altitude=altitude))
+    fit = fit_to(gps)
+    if level:
+        fit = replace(fit, enu_from_model=_lowered(fit.enu_from_model, model))
+    frame = _frame(fit, site, gravity, len(located), reach)
+    names = [photo.name for photo in places]
     return Placement(
         site_from_model=fit.enu_from_model, frame=frame,
         gps_residuals=dict(zip(names, fit.residuals.tolist(), strict=True)),
     )
+
+
+def _frame(fit: GpsFit, site: GeoPosition, gravity: Gravity, count: int, reach: float) -> Frame:
+    """What a fit to GPS tells; `reach` is the typical distance (metres) of the photos from their middle."""
+    off, by_gravity = fit.median_residual, fit.on_a_line or site.altitude is None
+    # Along a line only the places along it count: across it they are noise.
+    contradicted = fit.scale_residual > BENT and fit.scale_residual > CONTRADICTED * reach
+    note = f"Metres, Z up and north from the GPS of {count} photos, {off:.2f} m off (median)."
+    if site.altitude is None:
+        note = (f"Metres and north from the GPS of {count} photos, {off:.2f} m off in plan (median); it tells no "
+                f"altitudes, so Z up comes from {gravity.source}, and heights above the sea are unknown.")
+    elif fit.on_a_line:
+        note = note[:-1] + f"; the flight is a straight line, so the tilt about it comes from {gravity.source}."
+    if contradicted:
+        note = (f"The photos' GPS contradicts their camera positions ({off:.1f} m off, median): the model is bent, or "
+                "the GPS poor. Scale, up and north are roughly GPS's, but lengths are not to be taken for metres (set "
+                "the scale with a scale bar).")
+    return Frame(
+        scale="unknown" if contradicted else "metres", up="gravity" if by_gravity else "gps", north=True, origin=site,
+        gps_residual=off, note=note,
+    )
+
+
+def _lowered(site_from_model: pycolmap.Sim3d, model: pycolmap.Reconstruction) -> pycolmap.Sim3d:
+    """With the ground of the site's middle at 0."""
+    ground = np.array([0.0, 0.0, _middle_on_the_ground(_apply(site_from_model, _points(model)))[2]])
+    return pycolmap.Sim3d(site_from_model.scale, site_from_model.rotation, site_from_model.translation - ground)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,7 +181,7 @@ def _place_by_gravity(
     model: pycolmap.Reconstruction, cameras: _Cameras, gravity: Gravity, why: str
 ) -> Placement:
     scale = TYPICAL_DISTANCE / max(_median_distance(model), 1e-9)
-    rotation = rotations.between(gravity.up, np.array([0.0, 0.0, 1.0]))
+    rotation = rotations.between(gravity.up, _UP)
     middle = _middle_on_the_ground(scale * _points(model) @ rotation.T)
     transform = pycolmap.Sim3d(scale, pycolmap.Rotation3d(rotation), -middle)
     note = f"{why}: scale and north are unknown (set them with a scale bar); Z up comes from {gravity.source}."
@@ -151,24 +190,52 @@ def _place_by_gravity(
 
 @dataclass(frozen=True, kw_only=True)
 class GpsFit:
-    """`enu_from_model` and how well it fits: `residuals` (N,) in metres, their median, and the flight's shape."""
+    """`enu_from_model` and how well it fits: `residuals` (N,) in metres, in plan for photos without an altitude, their
+    median, that of what tells the scale, and the flight's shape."""
 
     enu_from_model: pycolmap.Sim3d
     residuals: np.ndarray
     median_residual: float
+    scale_residual: float
     on_a_line: bool
 
 
-def align_to_gps(centres: np.ndarray, gps: np.ndarray, gravity: Gravity) -> GpsFit:
+def align_to_gps(
+    centres: np.ndarray, gps: np.ndarray, gravity: Gravity, heights: np.ndarray | None = None
+) -> GpsFit:
     """Robust similarity from camera centres (N,3) to GPS positions (N,3) in metres, N >= 3; half may be outliers.
+
+    `heights` (N,) says whose altitude is known, at least three or none: with none, gravity alone says where up is, and
+    height zero is the cameras' middle.
+    """
+    known = np.ones(len(centres), bool) if heights is None else heights
+    if known.any():
+        fit = _align(centres[known], gps[known], gravity)
+    else:
+        upright = rotations.between(gravity.up, _UP)
+        flat = np.array([1.0, 1.0, 0.0])
+        fit = _align(centres @ upright.T * flat, gps * flat, Gravity(up=_UP, sigma=_LEVEL_SIGMA, source=gravity.source))
+        move = fit.enu_from_model
+        turn = pycolmap.Rotation3d(move.rotation.matrix() @ upright)
+        middle = np.median(move.scale * centres @ upright.T[:, 2])
+        fit = replace(fit, enu_from_model=pycolmap.Sim3d(move.scale, turn, move.translation - middle * _UP))
+    off = _apply(fit.enu_from_model, centres) - gps
+    off[~known, 2] = 0
+    residuals = np.asarray(np.linalg.norm(off, axis=1))
+    return replace(fit, residuals=residuals, median_residual=float(np.median(residuals)))
+
+
+def _align(centres: np.ndarray, gps: np.ndarray, gravity: Gravity) -> GpsFit:
+    """`align_to_gps` where all of a position counts.
 
     Least median of squares over triplets, then a refit to the inliers in which gravity counts as one more
     direction, weighted by how well it is known. Of a flight along a straight line, or no wider than the GPS is off,
     only the places along it count: across it they are noise, and gravity alone fixes the tilt.
     """
+    certain = gravity if gravity.sigma <= _LEVEL_SIGMA else None  # flat places could be fitted from below, too
     best, best_median = None, np.inf
     for triplet in _triplets(len(centres)):
-        candidate = _similarity(centres[triplet], gps[triplet])
+        candidate = _similarity(centres[triplet], gps[triplet], certain)
         median = float(np.median(_distances(candidate, centres, gps)))
         if median < best_median:
             best, best_median = candidate, median
@@ -185,14 +252,17 @@ def align_to_gps(centres: np.ndarray, gps: np.ndarray, gravity: Gravity) -> GpsF
             break
         inliers = chosen
     residuals = _distances(best, centres, gps)
-    noise = float(np.median(residuals))
+    noise = scale_residual = float(np.median(residuals))
     spread = np.linalg.svd(gps[inliers] - gps[inliers].mean(0), compute_uv=False)
     on_a_line = bool(spread[1] < LINE * spread[0] or spread[1] / np.sqrt(inliers.sum()) < max(1.0, 2 * noise))
     if on_a_line:
-        best = _similarity(_along(centres[inliers]), _along(gps[inliers]), gravity, max(1.4826 * noise, 1.0))
+        along = _along(centres[inliers]), _along(gps[inliers])
+        best = _similarity(*along, gravity, max(1.4826 * noise, 1.0))
         residuals = _distances(best, centres, gps)
+        scale_residual = float(np.median(_distances(best, *along)))
     return GpsFit(
-        enu_from_model=best, residuals=residuals, median_residual=float(np.median(residuals)), on_a_line=on_a_line
+        enu_from_model=best, residuals=residuals, median_residual=float(np.median(residuals)),
+        scale_residual=scale_residual, on_a_line=on_a_line,
     )
 
 
@@ -219,7 +289,7 @@ def _similarity(
     size = max(float((m**2).sum()), 1e-18)
     correlation = g.T @ m * np.sqrt(float((g**2).sum()) / size) / sigma**2
     if gravity is not None:
-        correlation += np.outer([0.0, 0.0, 1.0], gravity.up) / np.radians(gravity.sigma) ** 2
+        correlation += np.outer(_UP, gravity.up) / np.radians(gravity.sigma) ** 2
     u, _, vt = np.linalg.svd(correlation)
     rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
     scale = max(float((g * (m @ rotation.T)).sum()) / size, 1e-9)

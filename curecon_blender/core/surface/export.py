@@ -53,8 +53,10 @@ class Provenance:
         unit = "metres" if self.scale == "metres" else "of unknown scale"
         lines = [f"{GENERATOR}: Z up, {'x east, y north, ' if self.north else ''}{unit}"]
         if self.origin is not None:
+            altitude = "unknown" if self.origin.altitude is None else (
+                f"{self.origin.altitude:.4f} {_ABOVE[self.origin.altitude_datum]}")
             lines.append(f"origin WGS84 latitude {self.origin.latitude:.9f} longitude {self.origin.longitude:.9f} "
-                         f"altitude {self.origin.altitude:.4f} {_ABOVE[self.origin.altitude_datum]}")
+                         f"altitude {altitude}")
         return lines + [f"{name}: {text}" for name in ("licence", "credit") if (text := _one_line(getattr(self, name)))]
 
 
