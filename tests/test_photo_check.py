@@ -149,6 +149,24 @@ class TestFindingPhotos:
         assert names == ["a.Tiff", "b.png", "DJI_9.jpeg", "DJI_10.JPG", "DJI_2.JPG"]
         assert (photo_set.skipped, warnings) == ((), [])
 
+    def test_a_memory_card_is_looked_into(self, tmp_path: Path) -> None:
+        for number, name in enumerate(("100MEDIA/DJI_1.JPG", "100MEDIA/DJI_2.JPG", "101MEDIA/DJI_1.JPG")):
+            (tmp_path / "DCIM" / name).parent.mkdir(parents=True, exist_ok=True)
+            save(tmp_path / "DCIM" / name, number, exif=exif())
+        (tmp_path / "MISC").mkdir()
+        photo_set, warnings = check(tmp_path)
+        names = [photo.name for photo in photo_set.photos]
+        assert (names, warnings) == (["100MEDIA_DJI_1.JPG", "DJI_2.JPG", "101MEDIA_DJI_1.JPG"], [])
+
+    @pytest.mark.parametrize("deeper", ["a/b", "2026/Tulou/flight 2"])
+    def test_photos_that_lie_deeper_are_named(self, tmp_path: Path, deeper: str) -> None:
+        (tmp_path / deeper).mkdir(parents=True)
+        for number in range(2):
+            save(tmp_path / deeper / f"DJI_{number}.JPG", number)
+        with pytest.raises(PhotoError, match="2 photos lie deeper") as caught:
+            check(tmp_path)
+        assert str(tmp_path / deeper) in caught.value.remedy
+
     def test_hidden_files_and_shadows_are_passed_over(self, folder: Path) -> None:
         (folder / "._DJI_0.JPG").write_bytes(b"\x00\x05\x16\x07macOS")
         (folder / ".thumbnails").mkdir()

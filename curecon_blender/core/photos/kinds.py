@@ -29,7 +29,7 @@ THERMAL, BAND, PANORAMA, MAP = "thermal picture", "single band", "panorama", "ma
 SCREENSHOT, DRAWING, COPY = "screenshot", "picture without a camera", "copy"
 WIDEST = 2.4  # width over height; cameras and phones stay below
 FEWEST = 3  # photos that a picture must differ from
-MOST_HAVE = 0.8  # share of the others that have a camera's metadata where its lack counts
+MOST_HAVE = 0.7  # share of the others that have a camera's metadata where its lack counts
 PREVIEW = 96  # pixels, longest side, of what pictures are compared by
 SMALL = 0.6  # of the usual longest side: below it a picture may be a preview of another
 SAME, SAME_EDITED, SAME_PART = 0.985, 0.9, 0.85  # correlations of previews
@@ -84,7 +84,8 @@ def read_hints(image: Image.Image, main: Mapping[int, Any], exif: Mapping[int, A
 
 def _comment(exif: Mapping[int, Any]) -> str:
     comment = exif.get(ExifTags.Base.UserComment)
-    return text(comment[8:] if isinstance(comment, bytes) else comment)
+    coded = isinstance(comment, bytes | str) and len(comment) > 8  # eight letters name its character code
+    return text(comment[8:] if coded else comment)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
