@@ -61,9 +61,11 @@ def make_model(centres: np.ndarray, rotations: list[np.ndarray]) -> pycolmap.Rec
     return model
 
 
-def make_photos(centres: np.ndarray, *, gps: bool = True, noise: float = 0.5) -> dict[str, Photo]:
+def make_photos(
+    centres: np.ndarray, *, gps: bool = True, noise: float = 0.5, site: GeoPosition = SITE
+) -> dict[str, Photo]:
     jitter = np.random.default_rng(1).normal(0, noise, centres.shape)
-    positions = enu_to_geodetic(centres + jitter, SITE)
+    positions = enu_to_geodetic(centres + jitter, site)
     names = [f"{i:02d}.jpg" for i in range(1, len(centres) + 1)]
     return {
         name: Photo(
@@ -195,3 +197,75 @@ def test_frame_record_survives_and_a_damaged_one_is_told(tmp_path: Path) -> None
     with pytest.raises(WorkspaceError, match=r"frame\.json") as caught:
         record.read_frame(tmp_path)
     assert caught.value.remedy
+
+
+def without_altitude(photos: dict[str, Photo], names: list[str]) -> dict[str, Photo]:
+    return {name: replace(photo, gps=replace(photo.gps, altitude=None)) if name in names and photo.gps else photo
+            for name, photo in photos.items()}
+
+
+def two_orbits() -> tuple[np.ndarray, list[np.ndarray]]:
+    """Orbits at 20 and 50 metres, and what a drone's gimbal says of each photo."""
+    low, high = orbit(12, radius=40.0, height=20.0), orbit(12, radius=25.0, height=50.0)
+    return np.concatenate([low[0], high[0]]), [*low[1], *high[1]]
+
+
+@pytest.mark.parametrize("kind", ["missing", "constant", "all but two missing"])
+def test_gps_in_plan_and_gravity_give_metres_where_altitudes_tell_nothing(kind: str) -> None:
+    centres, rotations = two_orbits()
+    photos = make_photos(centres, noise=0.2)
+    if kind == "constant":
+        photos = {name: replace(photo, gps=replace(photo.gps, altitude=500.0))
+                  for name, photo in photos.items() if photo.gps}
+    else:
+        photos = without_altitude(photos, list(photos)[0 if kind == "missing" else 2 :])
+    model = make_model(centres, rotations)
+    placement = place(model, photos)
+    frame = placement.frame
+    assert (frame.scale, frame.up, frame.north) == ("metres", "gravity", True)
+    assert frame.origin is not None and frame.origin.altitude is None
+    assert "no altitudes" in frame.note and "heights above the sea are unknown" in frame.note
+    assert max(placement.gps_residuals.values()) < 1.5
+    found = placed_centres(model, placement)
+    assert np.ptp(found, axis=0) == pytest.approx(np.ptp(centres, axis=0), rel=0.01)
+    assert tilt(model, rotations) < 0.5
+    assert height_of_the_ground(model) == pytest.approx(0, abs=0.2)
+
+
+def test_a_photo_without_an_altitude_still_counts_in_plan() -> None:
+    centres, rotations = two_orbits()
+    photos = without_altitude(make_photos(centres, noise=0.2), ["02.jpg", "05.jpg"])
+    stray = photos["05.jpg"].gps
+    assert stray is not None
+    photos["05.jpg"] = replace(photos["05.jpg"], gps=replace(stray, latitude=stray.latitude + 0.002))
+    placement = place(make_model(centres, rotations), photos)
+    assert (placement.frame.scale, placement.frame.up) == ("metres", "gps")
+    assert placement.frame.origin is not None and placement.frame.origin.altitude is not None
+    assert placement.gps_residuals["02.jpg"] < 1.5
+    assert placement.gps_residuals["05.jpg"] == pytest.approx(222, abs=5)
+
+
+def test_lengths_are_not_called_metres_where_gps_contradicts() -> None:
+    centres, rotations = two_orbits()
+    bent = centres + np.stack([0 * centres[:, 0], 0 * centres[:, 1], 0.02 * centres[:, 0] ** 2], axis=1)
+    placement = place(make_model(bent, rotations), make_photos(centres, noise=0.2))
+    frame = placement.frame
+    assert frame.gps_residual is not None and frame.gps_residual > 5
+    assert (frame.scale, frame.north) == ("unknown", True)
+    assert "contradicts" in frame.note and "not to be taken for metres" in frame.note
+
+
+@pytest.mark.parametrize("site", [
+    replace(SITE, longitude=179.9999), replace(SITE, longitude=-179.9999), replace(SITE, longitude=180.0),
+])
+def test_longitudes_on_both_sides_of_180_degrees(site: GeoPosition) -> None:
+    centres, rotations = orbit()
+    photos = make_photos(centres, site=site)
+    longitudes = [photo.gps.longitude for photo in photos.values() if photo.gps]
+    assert min(longitudes) < -179.99 and max(longitudes) > 179.99
+    model = make_model(centres, rotations)
+    placement = place(model, photos)
+    assert placement.frame.scale == "metres"
+    assert placement.frame.origin is not None
+    assert abs(placement.frame.origin.longitude) == pytest.approx(180, abs=0.001)
+    assert np.ptp(placed_centres(model, placement), axis=0) == pytest.approx(np.ptp(centres, axis=0), abs=2.0)

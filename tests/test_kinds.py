@@ -38,6 +38,7 @@ def left_out(folder: Path) -> dict[str, str]:
     assert all("if you ask for them" in warning for warning in warnings)
     for skip in photo_set.skipped:
         assert skip.path.name in skip.reason and any(skip.path.name in warning for warning in warnings)
+    assert all(skip["surplus"] for skip in describe(photo_set)["skipped"])
     everything = check_photos(folder, Reporter(), surplus=True)
     assert (len(everything.photos), everything.skipped) == (len(photo_set.photos) + len(kinds), ())
     return kinds
@@ -99,7 +100,8 @@ class TestOtherPictures:
 
     def test_screenshots_and_drawings(self, folder: Path) -> None:
         write(folder / "IMG_7.PNG", scene(43, 240, 500), exif=exif(
-            main={0x010F: None, 0x0110: None}, camera={0x9286: b"ASCII\0\0\0Screenshot", 0x920A: None, 0xA405: None}))
+            main={0x010F: None, 0x0110: None, 0x0131: "26"},
+            camera={0x9286: b"ASCII\0\0\0Screenshot", 0x920A: None, 0xA405: None}))
         save(folder / "Screenshot_2026.png", 44)
         write(folder / "16_1234_777.png", scene(45, 256, 256))
         write(folder / "plan.tif", scene(46, 320, 240), tiffinfo={33550: (0.1, 0.1, 0.0), 33922: (0.0,) * 6})

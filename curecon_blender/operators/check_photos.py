@@ -61,7 +61,7 @@ class CURECON_OT_check_photos(WorkerOperator, bpy.types.Operator):
         check.skipped.clear()
         for file in summary["skipped"]:
             entry = check.skipped.add()
-            entry.name, entry.reason = Path(file["path"]).name, file["reason"]
+            entry.name, entry.reason, entry.surplus = Path(file["path"]).name, file["reason"], file["surplus"]
         check.costs.clear()
         for quality, goals in summary["presets"].items():
             for goal, cost in goals.items():
@@ -71,7 +71,7 @@ class CURECON_OT_check_photos(WorkerOperator, bpy.types.Operator):
         check.free_memory_gib, check.free_disk_gib = summary["free_memory_gib"], summary["free_disk_gib"]
         if not check.skipped:
             return rpt_("{} photos can be used.").format(check.photos)
-        return rpt_("{} photos can be used, {} files cannot.").format(check.photos, len(check.skipped))
+        return rpt_("{} photos are used, {} files are not.").format(check.photos, len(check.skipped))
 
 
 class CURECON_OT_open_photo(bpy.types.Operator):

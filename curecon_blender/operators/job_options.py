@@ -24,7 +24,7 @@ def job_options(context: bpy.types.Context, *, until: str) -> Options:
     workspace = paths.workspace_folder(context, context.scene)
     return Options(
         photos=paths.photos_folder(context.scene), workspace=workspace, until=until, quality=properties.quality,
-        model=paths.absolute(properties.model) if properties.model else None,
+        surplus=properties.surplus, model=paths.absolute(properties.model) if properties.model else None,
         max_image_size=properties.max_image_size or None, views=properties.views or None,
         speeds=paths.speeds_file(), memory_gib=chosen.memory_gib, device=chosen.device, scheduler=chosen.scheduler,
         **_of_surface(context.scene, workspace) if until in SURFACE_STAGES else {},

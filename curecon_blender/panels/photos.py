@@ -79,6 +79,8 @@ class CURECON_PT_photos(Panel, bpy.types.Panel):
                 paragraph(box, context, file.reason)
             if len(check.skipped) > SHOWN_SKIPPED:
                 box.label(text=iface_("and {} more").format(len(check.skipped) - SHOWN_SKIPPED))
+        if context.scene.curecon.surplus or any(file.surplus for file in check.skipped):
+            box.prop(context.scene.curecon, "surplus")
         if check.doubtful:
             self._draw_doubtful(context, check)
 

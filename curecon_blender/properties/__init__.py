@@ -111,6 +111,11 @@ class CURECON_PG_scene(bpy.types.PropertyGroup):
         description="A COLMAP model of these photos, whose cameras are used as they are. Empty: find the cameras",
         subtype="DIR_PATH",
     )
+    surplus: BoolProperty(
+        name="Use Surplus Pictures",
+        description="Use pictures, too, that are no photos of this job: thermal ones and single bands beside colour "
+        "photos, panoramas, maps, screenshots, copies. Check the photos again after a change",
+    )
     quality: EnumProperty(
         name="Quality", description="Detail against time", items=QUALITIES, default="standard",
     )

@@ -8,13 +8,14 @@
 from __future__ import annotations
 
 import bpy
-from bpy.props import CollectionProperty, FloatProperty, IntProperty, StringProperty
+from bpy.props import BoolProperty, CollectionProperty, FloatProperty, IntProperty, StringProperty
 
 
 class CURECON_PG_skipped(bpy.types.PropertyGroup):
     """A file that the photo check left out. `name` is the file's."""
 
-    reason: StringProperty(name="Reason", description="Why the file cannot be used")
+    reason: StringProperty(name="Reason", description="Why the file is not used")
+    surplus: BoolProperty(name="Surplus", description="A picture that is used where surplus ones are asked for")
 
 
 class CURECON_PG_doubtful(bpy.types.PropertyGroup):

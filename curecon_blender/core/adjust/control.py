@@ -17,7 +17,7 @@ import numpy as np
 
 from ..base.errors import ControlError, WorkspaceError
 from ..base.files import disk_errors, write_json
-from ..base.geodesy import geodetic_to_enu
+from ..base.geodesy import geodetic_to_enu, gps_enu
 from ..base.reading import FARTHEST, OneOf, Within, build, parse_json, read_json
 from ..base.records import GeoPosition, Photo
 from ..photos.record import photo_finder
@@ -260,17 +260,17 @@ def resolved(control: ControlSet, photos: Iterable[Photo], lines: Lines) -> tupl
 def check_places(control: ControlSet, photos: Iterable[Photo], lines: Lines) -> list[str]:
     """Whether points and positions on Earth lie where the photos' GPS does. Raises ControlError for one that is
     kilometres off; returns a sentence on heights that cannot be."""
-    gps = np.array([[p.gps.latitude, p.gps.longitude, p.gps.altitude] for p in photos if p.gps is not None])
-    if not len(gps) or control.is_local:
+    located = [photo for photo in photos if photo.gps is not None]
+    if not located or control.is_local:
         return []
-    middle = GeoPosition(**dict(zip(("latitude", "longitude", "altitude"), np.median(gps, axis=0), strict=True)))
-    flown = geodetic_to_enu(gps, middle)[:, :2]
+    positions, middle = gps_enu(located)
+    flown = positions[:, :2]
     heights = []
     items: list[ControlPoint | PhotoPosition] = [*control.points, *control.positions]
     for item in items:
         name = item.name if isinstance(item, ControlPoint) else item.photo
         latitude, longitude, altitude = item.place
-        at = geodetic_to_enu(np.array([[latitude, longitude, middle.altitude]]), middle)[0, :2]
+        at = geodetic_to_enu(np.array([[latitude, longitude, middle.altitude or 0.0]]), middle)[0, :2]
         off = float(np.linalg.norm(flown - at, axis=1).min())
         if off > FAR:
             where = lines.get(name, "The control points")
@@ -280,7 +280,7 @@ def check_places(control: ControlSet, photos: Iterable[Photo], lines: Lines) -> 
                 f"longitude {longitude:.5f}; expected was about {middle.latitude:.5f}, {middle.longitude:.5f}.",
                 remedy=guess or "Check that line, and the system of coordinates that the file is in.",
             )
-        if altitude is not None and abs(altitude - middle.altitude) > FAR_UP:
+        if altitude is not None and middle.altitude is not None and abs(altitude - middle.altitude) > FAR_UP:
             heights.append(name)
     if heights:
         return [f"The height of {heights[0]}{_and_more(heights)} is more than {FAR_UP:.0f} m from the photos'. Heights "
@@ -309,6 +309,6 @@ def frame_positions(points: Iterable[ControlPoint], origin: GeoPosition | None) 
     places = [point.place for point in points]
     if origin is None:
         return np.array([[x, y, z or 0.0] for x, y, z in places]).reshape(-1, 3)
-    known = [[latitude, longitude, origin.altitude if height is None else height]
+    known = [[latitude, longitude, (origin.altitude or 0.0) if height is None else height]
              for latitude, longitude, height in places]
     return geodetic_to_enu(np.array(known).reshape(-1, 3), origin)

@@ -138,7 +138,7 @@ def _candidates(middle: GeoPosition) -> list[tuple[str, str]]:
 def _near(system: str, plan: np.ndarray, middle: GeoPosition) -> bool:
     """Whether half of the coordinates (N,2) lie near a place, read in a system."""
     with np.errstate(all="ignore"):
-        places = to_places(system, np.column_stack([plan, np.full(len(plan), middle.altitude)]))
+        places = to_places(system, np.column_stack([plan, np.full(len(plan), middle.altitude or 0.0)]))
         if not np.isfinite(places).all() or np.abs(np.median(places[:, 0])) > 90:
             return False
         off = np.linalg.norm(geodetic_to_enu(places, middle)[:, :2], axis=1)

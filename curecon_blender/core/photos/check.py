@@ -24,7 +24,7 @@ from ..base.messages import Reporter
 from ..base.records import UNKNOWN, Photo, PhotoSet, SkippedPhoto
 from . import metadata, overlap
 from .find import Files, find_files, listed, remedy_for
-from .kinds import Examined, find_surplus, preview_of
+from .kinds import SURPLUS, Examined, find_surplus, preview_of
 
 MIN_PHOTOS = 3
 MIN_SIDE = 200  # pixels: below it there is no detail to match
@@ -131,7 +131,8 @@ def describe(photo_set: PhotoSet) -> dict[str, Any]:
             for photo in photos if _problems(photo)
         ],
         "skipped": [
-            {"path": str(skip.path), "reason": skip.reason, "kind": skip.kind} for skip in photo_set.skipped
+            {"path": str(skip.path), "reason": skip.reason, "kind": skip.kind, "surplus": skip.kind in SURPLUS}
+            for skip in photo_set.skipped
         ],
     }
 

@@ -27,6 +27,7 @@ from .xmp import Xmp
 
 THERMAL, BAND, PANORAMA, MAP = "thermal picture", "single band", "panorama", "map"
 SCREENSHOT, DRAWING, COPY = "screenshot", "picture without a camera", "copy"
+SURPLUS = (THERMAL, BAND, PANORAMA, MAP, SCREENSHOT, DRAWING, COPY)
 WIDEST = 2.4  # width over height; cameras and phones stay below
 FEWEST = 3  # photos that a picture must differ from
 MOST_HAVE = 0.7  # share of the others that have a camera's metadata where its lack counts
@@ -84,8 +85,8 @@ def read_hints(image: Image.Image, main: Mapping[int, Any], exif: Mapping[int, A
 
 def _comment(exif: Mapping[int, Any]) -> str:
     comment = exif.get(ExifTags.Base.UserComment)
-    coded = isinstance(comment, bytes | str) and len(comment) > 8  # eight letters name its character code
-    return text(comment[8:] if coded else comment)
+    # Eight letters name its character code.
+    return text(comment[8:]) if isinstance(comment, bytes | str) and len(comment) > 8 else ""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

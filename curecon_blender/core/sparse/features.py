@@ -157,26 +157,25 @@ def _extraction_workers(image_size: int) -> int:
     return max(1, min(threads(), int(8 / gib)))
 
 
-def _camera_key(photo: Photo) -> tuple[str, int, int]:
-    return photo.camera, photo.width, photo.height
+def _camera_key(photo: Photo) -> tuple[str, int, int, float | None]:
+    return photo.camera, photo.width, photo.height, photo.focal_px
 
 
 def _write_cameras(
     database: pycolmap.Database, photos: tuple[Photo, ...]
-) -> dict[tuple[str, int, int], pycolmap.Camera]:
-    """One camera for all photos taken with it, written unless a photo of it is in the database already."""
+) -> dict[tuple[str, int, int, float | None], pycolmap.Camera]:
+    """One camera for all photos taken with it at one focal length, written unless a photo of it is there already."""
     known = {image.name: image.camera_id for image in database.read_all_images()}
     cameras = {_camera_key(photo): database.read_camera(known[photo.name]) for photo in photos if photo.name in known}
     for photo in photos:
         key = _camera_key(photo)
         if key in cameras:
             continue
-        focals = [p.focal_px for p in photos if _camera_key(p) == key and p.focal_px is not None]
-        focal = float(np.median(focals)) if focals else 1.2 * max(photo.width, photo.height)
+        focal = photo.focal_px or 1.2 * max(photo.width, photo.height)
         camera = pycolmap.Camera.create_from_model_name(
             pycolmap.INVALID_CAMERA_ID, "SIMPLE_RADIAL", focal, photo.width, photo.height
         )
-        camera.has_prior_focal_length = bool(focals)
+        camera.has_prior_focal_length = photo.focal_px is not None
         with pycolmap.DatabaseTransaction(database):
             camera.camera_id = database.write_camera(camera)
             rig = pycolmap.Rig()
