@@ -31,3 +31,15 @@ def test_control_points_are_marked_kept_and_taken_back(blender: Path, tmp_path: 
     work = tmp_path / "work"
     work.mkdir()
     run_script(blender, "check_control.py", work, resources=tmp_path / "user")
+
+
+def test_parts_stand_by_their_gps_in_the_unit_of_the_scene(blender: Path, tmp_path: Path) -> None:  # noqa: F811
+    work = tmp_path / "work"
+    work.mkdir()
+    run_script(blender, "check_placing.py", work, resources=tmp_path / "user")
+
+
+def test_what_is_linked_is_not_changed_and_nobody_is_told_so(blender: Path, tmp_path: Path) -> None:  # noqa: F811
+    work = tmp_path / "work"
+    work.mkdir()
+    run_script(blender, "check_linked.py", work, resources=tmp_path / "user")

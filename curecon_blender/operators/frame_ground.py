@@ -27,8 +27,8 @@ class CURECON_OT_frame_ground(PickingOperator, bpy.types.Operator):
         if not part.clouds:
             raise FrameError("This part of the site has no cloud.", remedy="Reconstruct its photos to the end first.")
         before = part.adjustment
-        height = site.ground(part.clouds[0], np.array(part.moved) @ before.matrix)
-        after = with_ground(before, height / part.moved.median_scale, when=datetime.now())
+        height = site.ground(part.clouds[0], np.array(part.moved) @ before.matrix) / part.metre
+        after = with_ground(before, height, when=datetime.now())
         frame.adjust(context.scene, part, after)
         return rpt_("The ground lay at Z = {:.2f} and is at Z = 0 now.").format(round(height, 2) + 0.0)  # no -0.00
 

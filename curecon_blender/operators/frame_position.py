@@ -6,7 +6,9 @@ from __future__ import annotations
 
 import bpy
 
+from ..core.base.errors import CuReconError
 from ..scene import frame
+from . import running
 
 
 class CURECON_OT_forget_position(bpy.types.Operator):
@@ -19,14 +21,18 @@ class CURECON_OT_forget_position(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if frame.has_position(context.scene):
+        if frame.has_position():
             return True
-        cls.poll_message_set("The scene holds no GPS position")
+        cls.poll_message_set("This .blend holds no GPS position")
         return False
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        frame.forget_position(context.scene)
-        self.report({"INFO"}, "The scene holds no GPS position any more; save the .blend to keep it so.")
+        try:
+            frame.forget_position()
+        except CuReconError as error:
+            self.report({"ERROR"}, running.explain(error))
+            return {"CANCELLED"}
+        self.report({"INFO"}, "This .blend holds no GPS position any more; save it to keep it so.")
         return {"FINISHED"}
 
 

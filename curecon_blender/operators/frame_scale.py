@@ -43,7 +43,8 @@ class CURECON_OT_frame_scale(PickingOperator, bpy.types.Operator):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if self._has_places() and not self.properties.is_property_set("length"):
-            self.length = float(np.linalg.norm(np.subtract(self.second, self.first)))  # so far
+            metre = frame.part_at(context.scene, np.array(self.first)).metre
+            self.length = float(np.linalg.norm(np.subtract(self.second, self.first))) / metre  # so far
         return super().invoke(context, event)
 
     def draw(self, context: bpy.types.Context) -> None:

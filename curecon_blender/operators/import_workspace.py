@@ -80,6 +80,9 @@ def _show(
         sentences.append(rpt_("The new file's cube, camera and light made room."))
     if imported.missing_pictures:
         sentences.append(rpt_("{:,} pictures are missing in {}.").format(imported.missing_pictures, folder))
+    if imported.stray:
+        sentences.append(rpt_("Too far from the first part to stand where it belongs: {}.").format(
+            ", ".join(imported.stray)))
     if imported.stale_edits:
         sentences.append(
             rpt_("The cloud is new: points that were taken out of the earlier one are taken out no more."))

@@ -57,7 +57,7 @@ class CURECON_PT_frame(Panel, bpy.types.Panel):
         row.operator("curecon.frame_turn", icon="LOOP_FORWARDS")
         column.operator("curecon.frame_ground", icon="EMPTY_SINGLE_ARROW")
         column.operator("curecon.frame_reset", icon="LOOP_BACK")
-        said = "This .blend holds the site's GPS position." if frame.has_position(context.scene) else (
+        said = "This .blend holds the site's GPS position." if frame.has_position() else (
             "This .blend holds no GPS position.")
         paragraph(layout, context, said, icon="WORLD")
         layout.operator("curecon.forget_position", icon="X")

@@ -16,6 +16,7 @@ from ..core.cloud.edits import write_removed
 from . import display, region
 from .display import REMOVED, REMOVED_KEY
 from .points import CLOUD_KEY, file_order, positions
+from .writable import require
 
 FILE_KEY = "curecon_file"  # on cloud data: its file in the workspace
 COUNT_KEY = "curecon_removed_points"  # on cloud data: how many points are taken out
@@ -47,7 +48,8 @@ def removed(item: bpy.types.Object) -> np.ndarray:
 
 def set_removed(item: bpy.types.Object, which: np.ndarray) -> None:
     """Mark the cloud's points (N,) bool as taken out, and keep that in its workspace. Raises WorkspaceError, before
-    anything is marked, when it cannot be written or the cloud is not as it was imported."""
+    anything is marked, when it cannot be written or the cloud is not as it was imported, and LinkedError."""
+    require([item, item.data])
     if len(which) != item.data[CLOUD_KEY]:
         raise WorkspaceError(
             f"{item.name} has lost points to Blender's own tools, which the workspace cannot follow.",

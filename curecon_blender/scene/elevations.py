@@ -60,7 +60,7 @@ def plan(scene: bpy.types.Scene, stage: bpy.types.Scene, folder: Path) -> Plan:
     sizes = [AROUND * 2 * np.abs(axes[:2] @ np.array([x, y, UP]).T) @ about.half for _, axes in views]
     # Of unknown scale: as large as an A3 takes the largest.
     fit = min(min(np.array(sheet.room("A3", upright=False)) / size) for size in sizes)
-    mm_per_unit = 1000 / scale if scale else fit
+    mm_per_unit = 1000 / scale / known.metre if scale else fit
     made = []
     for number, ((side, axes), size) in enumerate(zip(views, sizes, strict=True), start=1):
         is_plan = number == len(views)

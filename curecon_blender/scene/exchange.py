@@ -12,6 +12,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import bpy
+from mathutils import Matrix
 
 from ..core.base.errors import WorkspaceError
 from ..core.base.files import disk_errors
@@ -19,7 +20,8 @@ from ..core.base.reading import build
 from ..core.base.records import GeoPosition
 from ..core.surface import export
 from ..core.surface.export import Provenance
-from . import surface
+from . import placing, surface
+from .frame import ADJUSTED_KEY, FRAME_KEY, Part, world_matrix
 
 IMAGE_QUALITY = 90  # of JPEG and WebP in a GLB
 
@@ -49,8 +51,8 @@ def export_surfaces(
 ) -> Exported:
     """Write the surfaces to `path` and its pictures beside it; nothing is replaced unless all went well.
 
-    Vertices are written in the scene's axes (the site frame, Z up), GLB's turned to Y up as glTF wants it. Raises
-    WorkspaceError.
+    Vertices are written in the scene's axes (the site frame, Z up) and in metres, whatever the scene's unit is; GLB's
+    turned to Y up as glTF wants it. Raises WorkspaceError.
     """
     if not path.parent.is_dir():
         raise WorkspaceError(
@@ -151,6 +153,8 @@ def _provenance(item: bpy.types.Object, choices: Choices) -> Provenance:
             if told["altitude_datum"] is None:  # a surface imported before datums were kept
                 del told["altitude_datum"]
             origin = build(GeoPosition, told)
+            if (part := _part_of(item)) is not None:
+                origin = placing.world_origin(part)
         except ValueError as error:
             raise WorkspaceError(
                 f"The GPS position of {item.name} is none ({error}).",
@@ -160,6 +164,15 @@ def _provenance(item: bpy.types.Object, choices: Choices) -> Provenance:
         scale=item.get("scale", "unknown"), north=bool(item.get("north", False)), origin=origin,
         licence=choices.licence, credit=choices.credit,
     )
+
+
+def _part_of(item: bpy.types.Object) -> Part | None:
+    return next((Part(holder) for holder in item.users_collection if FRAME_KEY in holder), None)
+
+
+def _metre_of(item: bpy.types.Object) -> float:
+    """How long a metre of a surface's frame is in the scene, in Blender's units."""
+    return float(world_matrix(item).median_scale / item.get(ADJUSTED_KEY, 1.0))
 
 
 def _lines(about: dict[str, Provenance]) -> list[str]:
@@ -198,7 +211,11 @@ def _only(context: bpy.types.Context, items: list[bpy.types.Object]) -> Iterator
         bpy.ops.object.mode_set(mode="OBJECT")
     selected, active = [item for item in layer.objects if item.select_get()], layer.objects.active
     hidden = {item: (item.hide_viewport, item.hide_get()) for item in items}
+    stood, metre = {item: item.matrix_basis.copy() for item in items}, _metre_of(items[0])
     try:
+        if abs(metre - 1) > 1e-6:  # what stands in metres is written to the bit
+            for item in items:
+                item.matrix_world = Matrix.Scale(1 / metre, 4) @ world_matrix(item)
         surface.show_filled(context.scene, False)
         surface.simplify(items, True)
         for item in selected:
@@ -215,6 +232,7 @@ def _only(context: bpy.types.Context, items: list[bpy.types.Object]) -> Iterator
             item.select_set(False)
             item.hide_set(in_layer)
             item.hide_viewport = in_viewport
+            item.matrix_basis = stood[item]
         for item in selected:
             item.select_set(True)
         layer.objects.active = active

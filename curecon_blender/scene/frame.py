@@ -21,10 +21,13 @@ from ..core.base.records import Component, Frame, GeoPosition
 from ..core.site import adjustment as adjustments
 from ..core.site.adjustment import Adjustment
 from . import points, surface
+from .writable import require
 
 FRAME_KEY = "curecon_frame"  # on a part: its Frame as it was reconstructed, as JSON
 FOLDER_KEY = "curecon_sparse"  # on a part: the folder of its frame.json
 ADJUSTMENT_KEY = "curecon_adjustment"  # on a part: its Adjustment as JSON
+UNITS_KEY = "curecon_units"  # on a scene that holds our parts alone: its units are ours to tell
+ADJUSTED_KEY = "curecon_adjusted_scale"  # on a part and its surfaces: how much larger the adjustment made it
 GPS_SIGMA_KEY = "curecon_gps_sigma"  # on a part: relative standard deviation of the scale that GPS gave it, if any
 _written: dict[str, str] = {}  # what this session last wrote, by folder
 
@@ -84,6 +87,11 @@ class Part:
             return Matrix.Identity(4)
         return world_matrix(shown[0]) @ Matrix(self.adjustment.matrix.tolist()).inverted()
 
+    @property
+    def metre(self) -> float:
+        """How long a metre of its frame is in the world, in scene units; where the scale is unknown, a frame's unit."""
+        return float(self.moved.median_scale)
+
     def local(self, place: np.ndarray) -> np.ndarray:
         """A place (3,) of the world in the part's frame as it is adjusted now."""
         return np.array(self.moved.inverted() @ Vector(place.tolist()))
@@ -142,12 +150,19 @@ def set_up(collection: bpy.types.Collection, component: Component, workspace: Pa
         _move(item, Matrix(adjustment.matrix.tolist()))
 
 
+def stand(part: Part, matrix: Matrix) -> None:
+    """Let a part whose frame is the world's stand elsewhere: world_from_frame, a similarity."""
+    for item in list(part.collection.all_objects):
+        _move(item, matrix)
+
+
 def adjust(scene: bpy.types.Scene, part: Part, adjustment: Adjustment) -> None:
     """Give a part another adjustment: keep it in its workspace, then move all that is the part's.
 
     Everything in the part's collection moves, the region box with the first part, and the part's measured distances.
-    Raises WorkspaceError, before anything has moved, when the workspace cannot be written.
+    Raises WorkspaceError or LinkedError, before anything has moved, when workspace or scene cannot be written.
     """
+    require([scene, part.collection, *part.collection.all_objects])
     adjustments.write(part.folder, adjustment)
     _written[str(part.folder)] = adjustments.to_json(adjustment)
     before, moved, first = part.adjustment, part.moved, parts_of(scene)[0] == part
@@ -166,34 +181,63 @@ def adjust(scene: bpy.types.Scene, part: Part, adjustment: Adjustment) -> None:
     show_units(scene)
 
 
-def forget_position(scene: bpy.types.Scene) -> None:
-    """Take the geodetic position of every part, the one typed for the sun and the control points out of the scene, so
-    that a .blend can be given away. The workspace keeps its own: an import brings it back."""
-    for part in parts_of(scene):
-        part.collection[FRAME_KEY] = json.dumps(asdict(replace(part.reconstructed, origin=None)))
-        _put(part.collection, part.adjustment)
-    for name in ("latitude", "longitude"):
-        scene.curecon.present.property_unset(name)
-    control = scene.curecon.control
-    control.points.clear()
-    for name in ("text", "folder"):
-        control.property_unset(name)
+def forget_position() -> None:
+    """Take the geodetic position of every part, those typed for the sun and the control points out of all scenes, so
+    that a .blend can be given away. The workspace keeps its own: an import brings it back. Raises LinkedError, before
+    anything is forgotten, when another .blend keeps a position."""
+    holders = _position_holders()
+    require(holders)
+    for holder in holders:
+        if isinstance(holder, bpy.types.Scene):
+            for name in ("latitude", "longitude"):
+                holder.curecon.present.property_unset(name)
+            holder.curecon.control.points.clear()
+            for name in ("text", "folder"):
+                holder.curecon.control.property_unset(name)
+        elif FRAME_KEY in holder:
+            part = Part(holder)
+            holder[FRAME_KEY] = json.dumps(asdict(replace(part.reconstructed, origin=None)))
+            _put(holder, part.adjustment)
+    for holder in _position_holders():  # a surface that was taken out of its part
+        for field in fields(GeoPosition):
+            holder.pop(f"origin_{field.name}", None)
 
 
-def has_position(scene: bpy.types.Scene) -> bool:
-    """Whether the scene knows where on Earth it is."""
-    present = scene.curecon.present
-    return (any(part.reconstructed.origin is not None for part in parts_of(scene)) or bool(scene.curecon.control.points)
-            or present.is_property_set("latitude") or present.is_property_set("longitude"))
+def has_position() -> bool:
+    """Whether something in the .blend knows where on Earth it is."""
+    return bool(_position_holders())
+
+
+def _position_holders() -> list[bpy.types.ID]:
+    scenes = [scene for scene in bpy.data.scenes if scene.curecon.control.points
+              or any(scene.curecon.present.is_property_set(name) for name in ("latitude", "longitude"))]
+    parts = [item for item in bpy.data.collections
+             if FRAME_KEY in item and Part(item).reconstructed.origin is not None]
+    return [*scenes, *parts, *(item for item in bpy.data.objects if "origin_latitude" in item)]
+
+
+def claim_units(scene: bpy.types.Scene) -> None:
+    """Mark a scene, in which nothing but ours stands, as one whose units we tell, unless the user has chosen some."""
+    if _has_plain_units(scene):
+        scene[UNITS_KEY] = True
 
 
 def show_units(scene: bpy.types.Scene) -> None:
-    """Let the scene's lengths read as metres, or as plain numbers where nobody measured those of some part."""
+    """Let lengths read as metres, or as plain numbers where nobody measured those of some part. A scene with things of
+    the user's keeps its units."""
+    if UNITS_KEY not in scene or not _has_plain_units(scene):
+        return
     if all(part.frame.scale == "metres" for part in parts_of(scene)):
         scene.unit_settings.system, scene.unit_settings.length_unit = "METRIC", "METERS"
-        scene.unit_settings.scale_length = 1.0
     else:
         scene.unit_settings.system = "NONE"
+
+
+def _has_plain_units(scene: bpy.types.Scene) -> bool:
+    """Whether lengths are those of a new file, or numbers."""
+    settings = scene.unit_settings
+    return settings.scale_length == 1 and (settings.system == "NONE" or (
+        settings.system == "METRIC" and settings.length_unit == "METERS"))
 
 
 def keep_up(scene: bpy.types.Scene) -> None:
@@ -212,7 +256,7 @@ def _put(collection: bpy.types.Collection, adjustment: Adjustment) -> None:
     part = Part(collection)
     frame = part.frame
     known = {"scale": frame.scale, "scale_source": part.scale_source or None, "up": frame.up, "north": frame.north,
-             "note": frame.note or None, "gps_residual": frame.gps_residual}
+             "note": frame.note or None, "gps_residual": frame.gps_residual, ADJUSTED_KEY: adjustment.scale}
     for field in fields(GeoPosition):
         known[f"origin_{field.name}"] = None if frame.origin is None else getattr(frame.origin, field.name)
     for holder in (collection, *filter(surface.is_surface, collection.all_objects)):

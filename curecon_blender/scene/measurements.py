@@ -48,7 +48,9 @@ def in_words(scene: bpy.types.Scene, measurement: bpy.types.PropertyGroup) -> st
     part, found = part_in(scene, measurement.part), length(measurement)
     metres = part is not None and part.collection["scale"] == "metres"
     sigma = part.scale_sigma if part is not None and metres else None
-    return measuring.in_words(found, measuring.uncertainty(found, measurement.spread, sigma), metres=metres)
+    metre = part.metre if part is not None else 1.0
+    plus_minus = measuring.uncertainty(found, measurement.spread, sigma)
+    return measuring.in_words(found / metre, plus_minus / metre, metres=metres)
 
 
 def as_text(scene: bpy.types.Scene) -> str:

@@ -15,7 +15,7 @@ from ..core.base.ground import LEVEL, lowest_wide_level
 from ..core.site import footprint
 from ..core.site.adjustment import FrameError
 from . import points, surface
-from .frame import world_matrix
+from .frame import ADJUSTED_KEY, world_matrix
 from .surface import is_surface, surfaces_of
 from .workspace import WORKSPACE_KEY, clouds_of
 
@@ -53,11 +53,13 @@ class Box:
 
 @dataclass(frozen=True, kw_only=True)
 class Known:
-    """What is known of the frame of what is presented: are its units metres, and what that rests on in words; is +Y
-    north; its origin's (latitude, longitude) in degrees; and a sentence on all of it for the user."""
+    """What is known of the frame of what is presented: are its units metres, and what that rests on in words; how long
+    such a unit is in the scene; is +Y north; its origin's (latitude, longitude) in degrees; and a sentence on all of it
+    for the user."""
 
     metres: bool = False
     scale_source: str = ""
+    metre: float = 1.0
     north: bool = False
     origin: tuple[float, float] | None = None
     note: str = ""
@@ -107,11 +109,12 @@ def known(scene: bpy.types.Scene) -> Known:
     item = subject(scene)
     holders = [*item.users_collection, item] if item is not None else []
     holder = next((h for h in holders if "scale" in h), None)
-    if holder is None:
+    if item is None or holder is None:
         return Known()
     origin = (holder["origin_latitude"], holder["origin_longitude"]) if "origin_latitude" in holder else None
     return Known(
-        metres=holder["scale"] == "metres", scale_source=holder.get("scale_source", ""), north=bool(holder["north"]),
+        metres=holder["scale"] == "metres", metre=world_matrix(item).median_scale / holder.get(ADJUSTED_KEY, 1.0),
+        scale_source=holder.get("scale_source", ""), north=bool(holder["north"]),
         origin=origin, note=holder.get("note", ""),
     )
 

@@ -7,10 +7,12 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import bpy
 import numpy as np
+from mathutils import Vector
 
 from ..core.adjust.control import ControlSet, read_control
 from ..core.base.records import Component
@@ -21,7 +23,8 @@ from ..core.site.adjustment import Adjustment
 from ..core.site.adjustment import read as read_adjustment
 from ..core.surface.mesh import Mesh, filled_share, mesh_file, read_mesh, textured_folder
 from ..core.views.record import read as read_components
-from . import backdrop, cameras, cloud_edits, display, frame, new_file, points, surface
+from . import backdrop, cameras, cloud_edits, display, frame, new_file, placing, points, surface
+from .writable import require
 
 WORKSPACE_KEY = "curecon_workspace"  # on the collection: the workspace it was imported from
 UNPLACED_KEY = "curecon_unplaced"  # on the collection while it is built, and in no scene yet
@@ -40,6 +43,7 @@ class Imported:
     parts: int
     missing_pictures: int
     stale_edits: bool  # points were taken out of an earlier cloud; this one has all of its own
+    stray: tuple[str, ...]  # parts too far from the first one to stand where they belong
     cleared: bool  # the cube, camera and light of a new file made room
     bounds: points.Bounds | None
 
@@ -76,7 +80,8 @@ class Content:
     parts: tuple[PartContent, ...]
     filled: float
     stale_edits: bool
-    bounds: points.Bounds | None
+    bounds: points.Bounds | None  # in the frame of the part `about`
+    about: int
     ground: tuple[float, float, float]
     control: ControlSet
 
@@ -99,10 +104,11 @@ def read(folder: Path) -> Content:
             removed=removed[points.file_order(len(removed))] if removed is not None else None,
             surface=surface.arrays(*found) if found is not None else None,
         ))
+    bounds, about = _bounds(parts)
     return Content(
         folder=folder, parts=tuple(parts), filled=filled_share(meshes),
-        stale_edits=any(is_stale(folder / part.component.cloud) for part in parts), bounds=_bounds(parts),
         control=read_control(folder),
+        stale_edits=any(is_stale(folder / part.component.cloud) for part in parts), bounds=bounds, about=about,
         ground=next((backdrop.ground_colour(part.cloud) for part in parts if part.cloud is not None), backdrop.GREY),
     )
 
@@ -116,8 +122,11 @@ def build(
     belongs to none, and stopped or failed the import leaves nothing behind. A component comes with what has been made
     of it: a textured surface goes before a plain one, and where there is a surface its cloud is hidden. `pack` puts the
     textures into the .blend. The render size, pixel aspect and active camera follow the first photo. `find_scene` is
-    asked in the last slice, since Python holds no scene over an undo; what it raises goes through.
+    asked at the start and in the last slice, since Python holds no scene over an undo; what it raises goes through.
+    Raises LinkedError where another .blend keeps the scene or the earlier import.
     """
+    scene = find_scene()
+    require([scene, *_earlier(scene, content.folder)])
     try:
         top = bpy.data.collections.new(_name(content))
         top[WORKSPACE_KEY], top[UNPLACED_KEY] = str(content.folder), True
@@ -175,14 +184,14 @@ def _read_surface(folder: Path, index: int) -> tuple[Mesh, list[Path]] | None:
     return None
 
 
-def _bounds(parts: list[PartContent]) -> points.Bounds | None:
-    """What the largest part with a surface, or else with a cloud, is about."""
-    for part in sorted(parts, key=lambda part: part.surface is None):
+def _bounds(parts: list[PartContent]) -> tuple[points.Bounds | None, int]:
+    """What the largest part with a surface, or else with a cloud, is about, and which part that is."""
+    for number, part in sorted(enumerate(parts), key=lambda found: found[1].surface is None):
         places = part.surface.mesh.vertices if part.surface is not None else None
         cloud = part.cloud.points if part.cloud is not None else places
         if cloud is not None:
-            return points.bounds(points.subject_of(cloud, part.adjustment.matrix, within=places))
-    return None
+            return points.bounds(points.subject_of(cloud, part.adjustment.matrix, within=places)), number
+    return None, 0
 
 
 def _child(parent: bpy.types.Collection, name: str) -> bpy.types.Collection:
@@ -218,10 +227,11 @@ def _build_part(
 
 def _place(scene: bpy.types.Scene, content: Content, top: bpy.types.Collection) -> Imported:
     first = not frame.parts_of(scene)
-    for collection in list(scene.collection.children):
-        if collection.get(WORKSPACE_KEY) == str(content.folder):
-            _remove(scene, collection)
+    for collection in _earlier(scene, content.folder):
+        _remove(scene, collection)
     cleared = new_file.clear(scene)
+    if not scene.objects:
+        frame.claim_units(scene)
     if first:  # later ones leave what the user has changed since
         backdrop.set_up(scene, content.ground)
     del top[UNPLACED_KEY]
@@ -229,6 +239,8 @@ def _place(scene: bpy.types.Scene, content: Content, top: bpy.types.Collection) 
     top.name = _name(content)
     _drop_numbers(top)
     scene.collection.children.link(top)
+    parts = [frame.Part(item) for item in (top, *top.children_recursive) if frame.FRAME_KEY in item]
+    stray = placing.place(scene, parts)
     clouds = tuple(item for item in top.all_objects if item.type == "POINTCLOUD")
     photo_cameras = tuple(item for item in top.all_objects if item.type == "CAMERA")
     if photo_cameras:
@@ -241,8 +253,20 @@ def _place(scene: bpy.types.Scene, content: Content, top: bpy.types.Collection) 
         surfaces=tuple(item for item in top.all_objects if surface.is_surface(item)), filled=content.filled,
         parts=len(content.parts),
         missing_pictures=sum(not item.data.background_images for item in photo_cameras),
-        stale_edits=content.stale_edits, cleared=cleared, bounds=content.bounds,
+        stale_edits=content.stale_edits, cleared=cleared, stray=tuple(part.collection.name for part in stray),
+        bounds=_in_world(content.bounds, parts[content.about]) if content.bounds is not None else None,
     )
+
+
+def _earlier(scene: bpy.types.Scene, folder: Path) -> list[bpy.types.Collection]:
+    """What an earlier import of the workspace brought into the scene."""
+    return [item for item in scene.collection.children if item.get(WORKSPACE_KEY) == str(folder)]
+
+
+def _in_world(bounds: points.Bounds, part: frame.Part) -> points.Bounds:
+    """Bounds in a part's frame as it stands in the scene."""
+    corners = np.array([part.moved @ Vector(corner) for corner in product(*np.stack(bounds, axis=1).tolist())])
+    return corners.min(axis=0), corners.max(axis=0)
 
 
 def _drop_numbers(top: bpy.types.Collection) -> None:
