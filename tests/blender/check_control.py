@@ -129,9 +129,9 @@ def check_files() -> None:
     scene().curecon.control.index = 2
     bpy.ops.curecon.delete_control_point()
     assert [point.name for point in read_control(SITE).points] == ["gcp1", "gcp2"]
-    assert frame.has_position(scene())
+    assert frame.has_position()
     bpy.ops.curecon.forget_position()
-    assert not control.of(scene()).points and not frame.has_position(scene())
+    assert not control.of(scene()).points and not frame.has_position()
     assert len(read_control(SITE).points) == 2
 
 
