@@ -23,9 +23,9 @@ from curecon_blender.core.depth.tiles import (
     Tile,
     bytes_per_pixel,
     plan_tiles,
-    seen_regions,
     visible_region,
 )
+from curecon_blender.core.network import layers
 from curecon_blender.core.network.config import PAPER
 from curecon_blender.core.network.cost_volume_cpu import CostVolumeInput, fused_cost_volume
 from curecon_blender.core.network.homographies import homography_terms, pixel_grid
@@ -204,16 +204,35 @@ def test_tiles_cover_the_photo_and_what_they_see_of_sources_fits_the_budget() ->
         view, *sources = (enlarged(make_view(i, 100), width, height) for i in (0, 1, 99, 2, 98))
         for budget in (900 << 20, 4 << 30):
             covered = np.zeros((height, width), bool)
-            tiles = plan_tiles(view, sources, 96, budget)
-            for tile in tiles:
+            for plan in plan_tiles(view, sources, 96, budget):
+                tile = plan.tile
                 assert tile.x0 >= 0 and tile.y0 >= 0 and tile.x1 <= width and tile.y1 <= height
                 covered[tile.y0 : tile.y1, tile.x0 : tile.x1] = True
-                sizes = [np.prod(region.size) for region in seen_regions(view, tile, sources)]
+                sizes = [np.prod(region.size) for region in plan.seen if region]
                 own = BASE_BYTES + np.prod(tile.size) * bytes_per_pixel(96)
                 assert own + sum(sizes) * BYTES_PER_SOURCE_PIXEL < budget
             assert covered.all()
     with pytest.raises(DeviceError, match="too small"):
         plan_tiles(enlarged(make_view(0, 100), 8000, 6000), [], 96, 100 << 20)
+
+
+def test_features_in_strips_are_those_of_the_whole_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    network = load_network().fold_batch_norm().channels_last()
+    picture = torch.rand(1, 3, 320, 96, generator=torch.Generator().manual_seed(0))
+    with torch.inference_mode():
+        whole = network.pyramid(picture)
+        monkeypatch.setattr(layers, "STRIP_PIXELS", 96 * 64)
+        for level, strips in zip(whole, network.pyramid(picture), strict=True):
+            torch.testing.assert_close(strips, level, rtol=0, atol=1e-5)
+
+
+def test_with_little_memory_a_tile_goes_without_its_last_sources() -> None:
+    view, *sources = (enlarged(make_view(i, 24), 4000, 3000) for i in (0, 1, 23, 5, 19))
+    plenty, little = (plan_tiles(view, sources, 96, budget << 20) for budget in (8000, 1500))
+    assert all(None not in plan.seen for plan in plenty)
+    used = [[region is not None for region in plan.seen] for plan in little]
+    assert not np.all(used) and np.all(np.sum(used, axis=1) >= 2)
+    assert np.mean(used, axis=0)[0] >= np.mean(used, axis=0)[-1]  # those with the best scores stay
 
 
 def enlarged(view: View, width: int, height: int) -> View:

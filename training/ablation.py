@@ -58,7 +58,8 @@ def variance(self: LCMMVSNet, level: int, inputs: CostVolumeInput, out: Tensor |
     first = inputs.reference.unsqueeze(2).expand(-1, -1, inputs.inverse_depth.shape[1], -1, -1)
     total, squares = first, first.square()
     for i, (source, (rotated, shifted)) in enumerate(zip(inputs.sources, inputs.terms, strict=True)):
-        warped, _ = network_module.warp(source, rotated, shifted, inputs.inverse_depth, inputs.extents[:, i])
+        warped, _ = network_module.warp(inputs.compared(source), rotated, shifted, inputs.inverse_depth,
+                                      inputs.extents[:, i])
         total, squares = total + warped, squares + warped.square()
     count = len(inputs.sources) + 1
     spread = squares / count - (total / count).square()

@@ -32,7 +32,7 @@ from ..base.options import Options
 from ..base.records import Component, View
 from ..network import weights
 from ..views import record as views_record
-from .estimate import DepthEstimator, choose_device, make_depth, start_progress, unfinished
+from .estimate import DepthEstimator, choose_device, make_depth, start_progress, tell_left_out, unfinished
 
 if TYPE_CHECKING:
     import distributed
@@ -89,6 +89,7 @@ def spread_depths(
         left = unfinished(components, workspace, key)
         done, total = start_progress(components, left, reporter)
         futures: dict[distributed.Future, str] = {}
+        left_out = 0
         for place, (view, _) in enumerate(left):
             # Photos next to each other share sources, whose features a process keeps. Dask may choose another worker
             # than the one named here, when that one is gone or behind.
@@ -101,7 +102,7 @@ def spread_depths(
             while futures:
                 finished = _finished_of(futures)
                 for task in finished:
-                    _raise_failure(task, futures.pop(task))
+                    left_out += _outcome(task, futures.pop(task))
                     done += 1
                     reporter.progress(done, total)
                 reporter.check_cancelled()
@@ -111,6 +112,7 @@ def spread_depths(
                     raise _no_workers(options.scheduler)
         finally:
             client.cancel(list(futures))
+    tell_left_out(left_out, reporter)
 
 
 def _finished_of(futures: dict[distributed.Future, str]) -> set[distributed.Future]:
@@ -122,12 +124,12 @@ def _finished_of(futures: dict[distributed.Future, str]) -> set[distributed.Futu
     return {task for task in futures if task.status not in ("pending", "queued")}
 
 
-def _raise_failure(task: distributed.Future, name: str) -> None:
-    """Pass on what a task raised. Raises CuReconError, or what else it was."""
+def _outcome(task: distributed.Future, name: str) -> bool:
+    """What `make_depth` told of a photo. Raises what it raised: a CuReconError, or what else it was."""
     import distributed
 
     try:
-        task.result()
+        return bool(task.result())
     except distributed.KilledWorker as error:
         raise DeviceError(
             f"{name} ended every worker that tried it (the last one: {error.last_worker.address}).",
@@ -203,13 +205,12 @@ def _seen_here(workspace: Path, options: Options) -> dict[str, str]:
 _one_photo = threading.Lock()  # a worker with several threads still makes one photo at a time, within one budget
 
 
-def _depth_of(name: str, workspace: Path, options: Options, key: str) -> None:
-    """Make the depth map of a photo and write its file."""
+def _depth_of(name: str, workspace: Path, options: Options, key: str) -> bool:
+    """Make the depth map of a photo and write its file, as `make_depth` does."""
     with _one_photo:
         estimator, views = _prepared(workspace, options, key)
-        for of_component in views:
-            if name in of_component:
-                make_depth(estimator, of_component[name], of_component, workspace, key)
+        of_component = next(found for found in views if name in found)
+        return make_depth(estimator, of_component[name], of_component, workspace, key)
 
 
 @lru_cache(maxsize=1)

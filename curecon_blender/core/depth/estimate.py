@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from ..base import images
@@ -22,7 +21,7 @@ from ..network.model import MULTIPLE, Geometry, LCMMVSNet, depth_from_t
 from ..network.refinement import rasterise_points
 from ..views import sparse_points
 from .maps import is_finished, write_depth
-from .tiles import Tile, kept_part, memory_budget, plan_tiles, seen_regions
+from .tiles import Tile, TilePlan, kept_part, memory_budget, plan_tiles
 
 RELEASE_EVERY = 16  # photos: what lies between the features that are kept would else add up, a few MB a photo
 FEATURE_BYTES = 1 << 30  # of photos' features kept: a photo's neighbours, some dozens
@@ -64,6 +63,7 @@ class DepthEstimator:
         if self.dtype == torch.bfloat16 or self.device.type == "cpu":
             self._network.channels_last()
         self._features: OrderedDict[str, tuple[Tensor, ...]] = OrderedDict()
+        self.left_out = False  # whether parts of the last photo went without some sources, for want of memory
 
     @torch.inference_mode()
     def estimate(self, view: View, sources: list[tuple[View, float]]) -> tuple[np.ndarray, np.ndarray]:
@@ -76,10 +76,11 @@ class DepthEstimator:
         others = [source for source, _ in sources]
         hypotheses = self.coarse_hypotheses(view, others)
         points = sparse_points.read(self._workspace, view)
-        tiles = plan_tiles(view, others, hypotheses, self.budget)
-        for tile in tiles:
-            tile_depth, tile_confidence = self._tile(view, sources, points, tile, hypotheses, len(tiles) == 1)
-            kept = kept_part(tile, view)
+        plans = plan_tiles(view, others, hypotheses, self.budget)
+        self.left_out = any(None in plan.seen for plan in plans)
+        for plan in plans:
+            tile_depth, tile_confidence = self._tile(view, sources, points, plan, hypotheses, len(plans) == 1)
+            tile, kept = plan.tile, kept_part(plan.tile, view)
             place = np.s_[kept.y0 : kept.y1, kept.x0 : kept.x1]
             inner = np.s_[kept.y0 - tile.y0 : kept.y1 - tile.y0, kept.x0 - tile.x0 : kept.x1 - tile.x0]
             depth[place], confidence[place] = tile_depth[inner], tile_confidence[inner]
@@ -93,11 +94,14 @@ class DepthEstimator:
         return self._network.coarse_hypotheses(K, poses, near, far, (view.width, view.height))
 
     def _tile(
-        self, view: View, sources: list[tuple[View, float]], points: np.ndarray, tile: Tile, hypotheses: int,
+        self, view: View, sources: list[tuple[View, float]], points: np.ndarray, plan: TilePlan, hypotheses: int,
         whole: bool,
     ) -> tuple[np.ndarray, np.ndarray]:
-        others = [source for source, _ in sources]
-        crops = [(view, tile), *zip(others, seen_regions(view, tile, others), strict=True)]
+        tile, (width, height) = plan.tile, plan.tile.size
+        used = [(source, score, region) for (source, score), region in zip(sources, plan.seen, strict=True) if region]
+        if not used:
+            return np.zeros((height, width), np.float32), np.zeros((height, width), np.float16)
+        crops = [(view, tile), *((source, region) for source, _, region in used)]
         features = [self._features_of(v, region, whole) for v, region in crops]
         K = np.stack([_shifted(v.K, region) for v, region in crops])
         # Poses relative to the reference's centre keep float32 exact, wherever the site's origin is.
@@ -105,13 +109,12 @@ class DepthEstimator:
         near, far = (torch.tensor([d], dtype=torch.float32, device=self.device) for d in (view.near, view.far))
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.dtype == torch.bfloat16):
             geometry = Geometry(_batch(K).to(self.device), _batch(poses).to(self.device), near, far,
-                                _batch(np.array([score for _, score in sources])).to(self.device),
+                                _batch(np.array([score for _, score, _ in used])).to(self.device),
                                 _batch(np.array([region.size for _, region in crops[1:]])).to(self.device))
             outputs = self._network.sweep(features[0], features[1:], geometry, hypotheses)
             colours = self._colours(view, tile)
             t, confidence = self._network.estimate(colours, outputs, self._points(view, tile, points, colours))
         depth = depth_from_t(t, near, far)
-        width, height = tile.size
         return (depth[0, 0, :height, :width].cpu().numpy(),
                 confidence[0, 0, :height, :width].cpu().numpy().astype(np.float16))
 
@@ -125,8 +128,9 @@ class DepthEstimator:
         """A region's colours (1,3,h,w) in [0, 1], its last column and row repeated up to the sides that the network
         takes."""
         rgb = images.read_rgb(self._workspace / view.image)[region.y0 : region.y1, region.x0 : region.x1]
-        x = torch.from_numpy(np.ascontiguousarray(rgb)).to(self.device).permute(2, 0, 1).unsqueeze(0).float() / 255
-        return F.pad(x, (0, -x.shape[3] % MULTIPLE, 0, -x.shape[2] % MULTIPLE), mode="replicate")
+        height, width = rgb.shape[:2]
+        rgb = np.pad(rgb, ((0, -height % MULTIPLE), (0, -width % MULTIPLE), (0, 0)), mode="edge")
+        return torch.from_numpy(rgb).to(self.device).permute(2, 0, 1).unsqueeze(0).float().div_(255)
 
     def _features_of(self, view: View, region: Tile, whole: bool) -> tuple[Tensor, ...]:
         """Features of a region; those of whole photos are kept within FEATURE_BYTES and a quarter of the budget."""
@@ -181,14 +185,16 @@ def unfinished(components: list[Component], workspace: Path, key: str) -> list[t
     ]
 
 
-def make_depth(estimator: DepthEstimator, view: View, views: dict[str, View], workspace: Path, key: str) -> None:
-    """Estimate one view and write its depth map, whole or not at all; a view without sources gets no depth."""
+def make_depth(estimator: DepthEstimator, view: View, views: dict[str, View], workspace: Path, key: str) -> bool:
+    """Estimate one view and write its depth map, whole or not at all; a view without sources gets no depth. Whether
+    parts of it went without some sources, for want of memory."""
     if view.sources:
         depth, confidence = estimator.estimate(view, [(views[n], s) for n, s in view.sources])
     else:
         depth = np.zeros((view.height, view.width), np.float32)
         confidence = np.zeros((view.height, view.width), np.float16)
     write_depth(workspace, view, depth, confidence, key)
+    return bool(view.sources) and estimator.left_out
 
 
 def start_progress(
@@ -213,9 +219,20 @@ def estimate_depths(
     estimator = DepthEstimator(network, workspace, options)
     left = unfinished(components, workspace, key)
     done, total = start_progress(components, left, reporter)
+    left_out = 0
     for view, views in left:
-        make_depth(estimator, view, views, workspace, key)
+        left_out += make_depth(estimator, view, views, workspace, key)
         done += 1
         if done % RELEASE_EVERY == 0:
             release()
         reporter.progress(done, total)
+    tell_left_out(left_out, reporter)
+
+
+def tell_left_out(photos: int, reporter: Reporter) -> None:
+    """Warn of so many photos that went without some of their sources in places."""
+    if photos:
+        reporter.warning(
+            f"{photos} photos were matched with fewer of their neighbours in places, because the memory budget is too "
+            "small for all of them. A lower quality, or more memory, uses them all."
+        )

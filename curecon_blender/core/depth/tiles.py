@@ -24,9 +24,10 @@ SOURCE_MARGIN = 32  # pixels of context kept around what a tile can see in a sou
 BASE_BYTES = 500 << 20
 LEAST_BUDGET = BASE_BYTES + (400 << 20)  # of the whole stage: one small tile
 BYTES_PER_HYPOTHESIS = 60  # and pixel of the photo
-BYTES_PER_SOURCE_PIXEL = 80
+BYTES_PER_SOURCE_PIXEL = 68
 MORE_TILES = 1.2  # times as many are tried next
-MOST_FOR_SOURCES = 2  # times as many as need least, after which no more are tried
+SMALL_ENOUGH = 0.25  # of the budget for the tile itself: smaller tiles leave hardly more for its sources
+FEWEST_SOURCES = 2  # that a tile is computed with where it can see so many, if smaller tiles help
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,14 @@ class Tile:
     def size(self) -> tuple[int, int]:
         """(width, height) in pixels."""
         return self.x1 - self.x0, self.y1 - self.y0
+
+
+@dataclass(frozen=True)
+class TilePlan:
+    """A tile, and what of each source it is computed with: None of one that is left out for want of memory."""
+
+    tile: Tile
+    seen: tuple[Tile | None, ...]
 
 
 def memory_budget(options: Options, device: torch.device) -> int:
@@ -63,26 +72,37 @@ def typical_hypotheses(size: int) -> int:
     return min(max(size // 8, MIN_HYPOTHESES), MAX_HYPOTHESES)
 
 
-def plan_tiles(view: View, sources: list[View], hypotheses: int, budget: int) -> list[Tile]:
+def plan_tiles(view: View, sources: list[View], hypotheses: int, budget: int) -> list[TilePlan]:
     """Few equal tiles of a view, about square, that each fit `budget` bytes with so many hypotheses at the coarsest
-    level and what they see of the sources. Raises DeviceError when not even a small tile fits."""
-    least: tuple[float, list[Tile]] = (np.inf, [])
+    level and what they see of the sources. `sources` are by falling score: where all are too much even for a small
+    tile, it goes without the last of them that do not fit. Raises DeviceError when not even a small tile fits."""
+    plans: list[TilePlan] = []
     for tiles in _divisions(view.width, view.height):
-        own = BASE_BYTES + _area(tiles[0]) * bytes_per_pixel(hypotheses)
-        if own + len(sources) * _area(tiles[0]) * BYTES_PER_SOURCE_PIXEL > budget:
+        own = _area(tiles[0]) * bytes_per_pixel(hypotheses)
+        pixels = (budget - BASE_BYTES - own) // BYTES_PER_SOURCE_PIXEL  # that are left for sources
+        if pixels < len(sources) * _area(tiles[0]):
             continue
-        seen = max(sum(map(_area, seen_regions(view, tile, sources))) for tile in tiles)
-        peak = own + seen * BYTES_PER_SOURCE_PIXEL
-        least = min(least, (peak, tiles), key=lambda found: found[0])
-        # Of a source that goes past the camera's side, the smallest tile may see all: more tiles do not help then.
-        if peak <= budget or len(tiles) > MOST_FOR_SOURCES * len(least[1]):
+        whole = [TilePlan(tile, tuple(seen_regions(view, tile, sources))) for tile in tiles]
+        plans = [TilePlan(plan.tile, _within(plan.seen, pixels)) for plan in whole]
+        fewest = min(len(sources) - plan.seen.count(None) for plan in plans)
+        if plans == whole or (own < SMALL_ENOUGH * budget and fewest >= min(FEWEST_SOURCES, len(sources))):
             break
-    if not least[1]:
+    if not plans:
         raise DeviceError(
             f"A memory budget of {budget / 2**30:.2f} GiB is too small for even one tile of a depth map.",
             remedy=f"Give it at least {LEAST_BUDGET / 2**30:.1f} GiB, or close other programs.",
         )
-    return least[1]
+    return plans
+
+
+def _within(regions: tuple[Tile | None, ...], pixels: int) -> tuple[Tile | None, ...]:
+    """The regions, without those that are more than what the ones before leave of so many pixels."""
+    kept: list[Tile | None] = []
+    for region in regions:
+        fits = region is not None and _area(region) <= pixels
+        pixels -= _area(region) if region is not None and fits else 0
+        kept.append(region if fits else None)
+    return tuple(kept)
 
 
 def _divisions(width: int, height: int) -> Iterator[list[Tile]]:
@@ -132,18 +152,28 @@ def kept_part(tile: Tile, view: View) -> Tile:
 
 
 def visible_region(view: View, tile: Tile, source: View) -> Tile:
-    """What a tile can see of a source between near and far, with some context; the whole source when in doubt."""
+    """What a tile can see of a source between near and far, with some context."""
     xs = np.linspace(tile.x0, tile.x1, 9)
     ys = np.linspace(tile.y0, tile.y1, 9)
     pixels = np.stack([*np.meshgrid(xs, ys), np.ones((9, 9))]).reshape(3, -1)
-    rays = np.linalg.inv(view.K) @ pixels
-    inverse_depths = np.linspace(1 / view.far, 1 / view.near, 16)
-    camera = np.concatenate([rays / w for w in inverse_depths], axis=1)
-    world = view.cam_from_world[:, :3].T @ (camera - view.cam_from_world[:, 3:])
-    seen = source.K @ (source.cam_from_world[:, :3] @ world + source.cam_from_world[:, 3:])
-    if (seen[2] <= 0).any():
-        return Tile(0, 0, source.width, source.height)
-    u, v = seen[:2] / seen[2]
+    rays = source.K @ source.cam_from_world[:, :3] @ view.cam_from_world[:, :3].T @ np.linalg.inv(view.K) @ pixels
+    start = source.K @ (source.cam_from_world[:, :3] @ view.centre + source.cam_from_world[:, 3])
+    nearest, farthest = start[:, None] + view.near * rays, start[:, None] + view.far * rays
+    # Each ray is a line in the source, between two points; it ends where it goes past the camera's side, and where it
+    # leaves the picture: conditions that are linear in homogeneous coordinates.
+    first, last = np.zeros(rays.shape[1]), np.ones(rays.shape[1])
+    edge = max(tile.size) / 8  # a ray that passes so close has neighbours inside
+    right, bottom = source.width + edge, source.height + edge
+    for condition in ([0, 0, 1], [1, 0, edge], [-1, 0, right], [0, 1, edge], [0, -1, bottom]):
+        a, b = condition @ nearest - 1e-9, condition @ farthest - 1e-9
+        crossing = a / np.where(a == b, 1, a - b)
+        first = np.where(a < 0, np.where(b < 0, 2.0, np.maximum(first, crossing)), first)
+        last = np.where((b < 0) & (a >= 0), np.minimum(last, crossing), last)
+    seen = first <= last
+    if not seen.any():
+        return Tile(0, 0, min(MULTIPLE, source.width), min(MULTIPLE, source.height))
+    ends = np.hstack([(nearest + share * (farthest - nearest))[:, seen] for share in (first, last)])
+    u, v = ends[:2] / ends[2]
     x0, x1 = _clipped(u, source.width)
     y0, y1 = _clipped(v, source.height)
     return Tile(x0, y0, x1, y1)

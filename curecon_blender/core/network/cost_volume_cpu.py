@@ -9,6 +9,7 @@ together.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from math import exp
 from typing import Any
@@ -27,9 +28,10 @@ BAND_BYTES = 4 << 20  # of float32 costs that a thread makes at once: what fits 
 
 @dataclass(frozen=True)
 class CostVolumeInput:
-    """What a cost volume is made of: the reference's features (B,C,h,w), each source's (B,C,hs,ws), the width and
-    height (B,N,2) of what those show of the source (beyond is padding), the terms of each source's homographies
-    (homographies.homography_terms), the sources' weights (B,N), and inverse depths (B,M,h,w)."""
+    """What a cost volume is made of: the reference's features (B,C,h,w) as they are compared, each source's (B,C,hs,ws)
+    before `compared`, the width and height (B,N,2) of what those show of the source (beyond is padding), the terms of
+    each source's homographies (homographies.homography_terms), the sources' weights (B,N), and inverse depths
+    (B,M,h,w). All sources as they are compared take more memory than all else: they are made one at a time."""
 
     reference: Tensor
     sources: list[Tensor]
@@ -37,6 +39,7 @@ class CostVolumeInput:
     terms: list[tuple[Tensor, Tensor]]
     weights: Tensor
     inverse_depth: Tensor
+    compared: Callable[[Tensor], Tensor] = Tensor.float
 
 
 def fused_cost_volume(
@@ -50,7 +53,7 @@ def fused_cost_volume(
     """
     # A group's mean becomes a sum.
     scaled = (inputs.reference * (groups / inputs.reference.shape[1])).permute(0, 2, 3, 1).float()
-    laid = [source.permute(0, 2, 3, 1).float() for source in inputs.sources]
+    sizes = [(source.shape[2], source.shape[3]) for source in inputs.sources]
     strength = alpha.new_zeros(()) if beta is None else beta
     volumes = []
     for i in range(len(scaled)):
@@ -58,9 +61,10 @@ def fused_cost_volume(
         shifted = torch.stack([shift[i, :, 0] for _, shift in inputs.terms]).float()
         fixed = (inputs.extents[i].float(), rotated, shifted, inputs.inverse_depth[i].float(),
                  inputs.weights[i].float())
-        own = [source[i] for source in laid]
+        own = (inputs.compared(source[i : i + 1])[0].permute(1, 2, 0) for source in inputs.sources)
         if out is not None:
-            _fill(out[i].permute(1, 2, 3, 0), _arguments(scaled[i], alpha, strength, fixed, beta is not None, own))
+            _fill(out[i].permute(1, 2, 3, 0),
+                  _arguments(scaled[i], alpha, strength, fixed, beta is not None, sizes, own))
             continue
         volume: Tensor = _Fused.apply(
             scaled[i], alpha, strength, fixed, groups, beta is not None, *own)
@@ -96,13 +100,15 @@ class _Fused(torch.autograd.Function):
         ctx.fixed, ctx.visibility = fixed, visibility
         h, w = reference.shape[:2]
         volume = reference.new_empty((fixed[3].shape[0], h, w, groups))
-        _fill(volume, _arguments(reference, alpha, beta, fixed, visibility, sources))
+        sizes = [(source.shape[0], source.shape[1]) for source in sources]
+        _fill(volume, _arguments(reference, alpha, beta, fixed, visibility, sizes, sources))
         return volume
 
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         reference, alpha, beta, *sources = ctx.saved_tensors
-        arguments = _arguments(reference, alpha, beta, ctx.fixed, ctx.visibility, sources)
+        sizes = [(source.shape[0], source.shape[1]) for source in sources]
+        arguments = _arguments(reference, alpha, beta, ctx.fixed, ctx.visibility, sizes, sources)
         upstream = np.ascontiguousarray(gradient.float().numpy())
         h, w, c = reference.shape
         to_reference = np.zeros((h, w, c), np.float32)
@@ -113,31 +119,34 @@ class _Fused(torch.autograd.Function):
         in_bands(h, lambda top, bottom, band: _gradients(
             *arguments, upstream, to_reference, to_sources[band], to_scalars[band], top, bottom))
         total, scalars = to_sources.sum(0), to_scalars.sum(0)
-        spread = [torch.from_numpy(total[n, : s.shape[0] * s.shape[1]]).view(s.shape) for n, s in enumerate(sources)]
+        parts = np.split(total, arguments[2][1:, 2])
+        spread = [torch.from_numpy(part).view(source.shape) for part, source in zip(parts, sources, strict=True)]
         return (torch.from_numpy(to_reference), alpha.new_tensor(scalars[0]), beta.new_tensor(scalars[1]),
                 None, None, None, *spread)
 
 
 def _arguments(
     reference: Tensor, alpha: Tensor, beta: Tensor, fixed: tuple[Tensor, ...], visibility: bool,
-    sources: tuple[Tensor, ...] | list[Tensor],
+    sizes: list[tuple[int, int]], sources: Iterable[Tensor],
 ) -> tuple[Any, ...]:
-    """What both kernels begin with: reference (h,w,C), sources (N,P,C) with P their most pixels, sizes (N,2) as
-    (hs, ws), extents (N,2) as (width, height), rotated (N,3,h*w), shifted (N,3), inverse depth (M,h,w), weights (N,),
+    """What both kernels begin with: reference (h,w,C), the pixels of all sources (P,C), sizes (N,3) as (hs, ws, first
+    pixel), extents (N,2) as (width, height), rotated (N,3,h*w), shifted (N,3), inverse depth (M,h,w), weights (N,),
     alpha, beta, visibility."""
-    sizes = np.array([source.shape[:2] for source in sources], np.int64)
-    pixels = int(sizes.prod(axis=1).max())
-    together = np.zeros((len(sources), pixels, reference.shape[2]), np.float32)
-    for place, source in zip(together, sources, strict=True):
-        place[: source.shape[0] * source.shape[1]] = source.detach().reshape(-1, source.shape[2]).numpy()
+    pixels = np.array([height * width for height, width in sizes], np.int64)
+    first = np.cumsum(pixels) - pixels
+    together = np.empty((int(pixels.sum()), reference.shape[2]), np.float32)
+    for at, count, source in zip(first, pixels, sources, strict=True):
+        together[at : at + count] = source.detach().reshape(-1, source.shape[2]).numpy()
+    places = np.column_stack([np.array(sizes, np.int64), first])
     extents, rotated, shifted, inverse_depth, weights = (np.ascontiguousarray(each.numpy()) for each in fixed)
-    return (np.ascontiguousarray(reference.detach().numpy()), together, sizes, extents, rotated, shifted, inverse_depth,
-            weights, np.float32(alpha.item()), np.float32(beta.item()), visibility)
+    return (np.ascontiguousarray(reference.detach().numpy()), together, places, extents, rotated, shifted,
+            inverse_depth, weights, np.float32(alpha.item()), np.float32(beta.item()), visibility)
 
 
 @compiled
-def _taps(u: Any, v: Any, height: Any, width: Any) -> Any:
-    """Bilinear interpolation at (u, v), pixel centres at 0: four places and their shares, those outside zero."""
+def _taps(u: Any, v: Any, height: Any, width: Any, first: Any) -> Any:
+    """Bilinear interpolation at (u, v), pixel centres at 0: four places, counted from the picture's first, and their
+    shares, those outside zero."""
     left, top = np.floor(u), np.floor(v)
     a, b = u - left, v - top
     x0, y0 = int(left), int(top)
@@ -152,7 +161,7 @@ def _taps(u: Any, v: Any, height: Any, width: Any) -> Any:
         top_share, y0 = _ZERO, 0
     if y1 >= height:
         bottom_share, y1 = _ZERO, height - 1
-    y0, y1 = y0 * width, y1 * width
+    y0, y1 = first + y0 * width, first + y1 * width
     return (y0 + x0, y0 + x1, y1 + x0, y1 + x1, left_share * top_share, right_share * top_share,
             left_share * bottom_share, right_share * bottom_share)
 
@@ -175,9 +184,9 @@ def _volume(
             pixel = y * width + x
             total[:] = _ZERO
             norm[:] = _ZERO
-            for n in range(sources.shape[0]):
+            for n in range(sizes.shape[0]):
                 u0, v0, z0 = rotated[n, 0, pixel], rotated[n, 1, pixel], rotated[n, 2, pixel]
-                height_n, width_n = sizes[n, 0], sizes[n, 1]
+                height_n, width_n, first_n = sizes[n, 0], sizes[n, 1], sizes[n, 2]
                 right_n, bottom_n = extents[n, 0] - _HALF, extents[n, 1] - _HALF
                 # Where a source sees all the hypotheses, first: a loop of its own runs in vector registers.
                 for m in range(count):
@@ -191,11 +200,11 @@ def _volume(
                         if not visibility:
                             norm[m] += weights[n]
                         continue
-                    p0, p1, p2, p3, s0, s1, s2, s3 = _taps(u, v, height_n, width_n)
+                    p0, p1, p2, p3, s0, s1, s2, s3 = _taps(u, v, height_n, width_n, first_n)
                     agreement = _ZERO
                     for c in range(channels):
-                        value = reference[y, x, c] * (s0 * sources[n, p0, c] + s1 * sources[n, p1, c]
-                                                      + s2 * sources[n, p2, c] + s3 * sources[n, p3, c])
+                        value = reference[y, x, c] * (s0 * sources[p0, c] + s1 * sources[p1, c]
+                                                      + s2 * sources[p2, c] + s3 * sources[p3, c])
                         product[c] = value
                         agreement += value
                     weight = weights[n]
@@ -225,7 +234,7 @@ def _gradients(
     width, channels = reference.shape[1:]
     groups = upstream.shape[3]
     each = channels // groups
-    count = sources.shape[0]
+    count = sizes.shape[0]
     warped, product = np.empty((count, channels), np.float32), np.empty((count, channels), np.float32)
     agreement, weight = np.empty(count, np.float32), np.empty(count, np.float32)
     seen = np.empty(count, np.bool_)
@@ -256,13 +265,13 @@ def _gradients(
                         if not visibility:
                             norm += weights[n]
                         continue
-                    p0, p1, p2, p3, s0, s1, s2, s3 = _taps(u, v, sizes[n, 0], sizes[n, 1])
+                    p0, p1, p2, p3, s0, s1, s2, s3 = _taps(u, v, sizes[n, 0], sizes[n, 1], sizes[n, 2])
                     place[n, 0], place[n, 1], place[n, 2], place[n, 3] = p0, p1, p2, p3
                     share[n, 0], share[n, 1], share[n, 2], share[n, 3] = s0, s1, s2, s3
                     agrees = _ZERO
                     for c in range(channels):
-                        value = (s0 * sources[n, p0, c] + s1 * sources[n, p1, c]
-                                 + s2 * sources[n, p2, c] + s3 * sources[n, p3, c])
+                        value = (s0 * sources[p0, c] + s1 * sources[p1, c]
+                                 + s2 * sources[p2, c] + s3 * sources[p3, c])
                         warped[n, c] = value
                         value *= reference[y, x, c]
                         product[n, c] = value
@@ -306,12 +315,12 @@ def _gradients(
                     s0, s1, s2, s3 = share[n, 0], share[n, 1], share[n, 2], share[n, 3]
                     p0, p1, p2, p3 = place[n, 0], place[n, 1], place[n, 2], place[n, 3]
                     for c in range(channels):
-                        to_sources[n, p0, c] += s0 * to_product[c]
+                        to_sources[p0, c] += s0 * to_product[c]
                     for c in range(channels):
-                        to_sources[n, p1, c] += s1 * to_product[c]
+                        to_sources[p1, c] += s1 * to_product[c]
                     for c in range(channels):
-                        to_sources[n, p2, c] += s2 * to_product[c]
+                        to_sources[p2, c] += s2 * to_product[c]
                     for c in range(channels):
-                        to_sources[n, p3, c] += s3 * to_product[c]
+                        to_sources[p3, c] += s3 * to_product[c]
             for c in range(channels):
                 to_reference[y, x, c] = to_own[c]

@@ -9,12 +9,16 @@ are the photo's, scaled, and depth is not pulled off by half a hypothesis.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import cast
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
+
+STRIP_PIXELS = 4 << 20  # of a picture whose features are computed at once, without gradients: 200 bytes each meanwhile
+HALO = 40  # pixels beyond a strip that its features depend on, a multiple of 4
 
 
 class Conv3d(nn.Conv3d):
@@ -89,6 +93,26 @@ def upsample(x: Tensor) -> Tensor:
 def unit_length(features: Tensor) -> Tensor:
     """(B,C,h,w) with a root mean square of 1 over C: the mean of a product of two such is their cosine."""
     return features * torch.rsqrt(features.float().square().mean(1, keepdim=True) + 1e-4).to(features.dtype)
+
+
+def in_strips(pyramid: Callable[[Tensor], tuple[Tensor, ...]], images: Tensor) -> tuple[Tensor, ...]:
+    """`pyramid` of pictures (B,3,H,W): features (B,C_l,H/2^l,W/2^l) by level; those of large ones in strips, without
+    gradients, since it takes seven times as much memory as it leaves."""
+    b, _, height, width = images.shape
+    rows = max(STRIP_PIXELS // (b * width) // 32, 1) * 32
+    if torch.is_grad_enabled() or height <= rows:
+        return pyramid(images)
+    whole: list[Tensor] = []
+    for top in range(0, height, rows):
+        first = max(top - HALO, 0)
+        strip = pyramid(images[:, :, first : top + rows + HALO])
+        if not whole:
+            whole = [torch.empty((b, level.shape[1], height >> i, width >> i), dtype=level.dtype, device=level.device,
+                                 memory_format=torch.channels_last) for i, level in enumerate(strip)]
+        for i, (into, level) in enumerate(zip(whole, strip, strict=True)):
+            own = into[:, :, top >> i : (top + rows) >> i]
+            own.copy_(level[:, :, (top - first) >> i :][:, :, : own.shape[2]])
+    return tuple(whole)
 
 
 def fold_batch_norm(network: nn.Module) -> None:

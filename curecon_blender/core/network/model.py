@@ -156,7 +156,7 @@ def plain_cost_volume(inputs: CostVolumeInput, groups: int, alpha: Tensor, beta:
     scaled = (inputs.reference * (groups / c)).unsqueeze(2)  # the mean over a group's channels becomes a sum
     total = norm = torch.zeros((), device=scaled.device)
     for i, (source, (rotated, shifted)) in enumerate(zip(inputs.sources, inputs.terms, strict=True)):
-        warped, seen = warp(source, rotated, shifted, inputs.inverse_depth, inputs.extents[:, i])
+        warped, seen = warp(inputs.compared(source), rotated, shifted, inputs.inverse_depth, inputs.extents[:, i])
         product = (warped * scaled).reshape(b, groups, c // groups, *inputs.inverse_depth.shape[1:])
         similarity = product.sum(2) if c > groups else product[:, :, 0]
         weight = inputs.weights[:, i].view(-1, 1, 1, 1, 1)
@@ -263,10 +263,9 @@ class LCMMVSNet(nn.Module):
         extents = K.new_tensor([images.shape[4], images.shape[3]]).expand(b, v - 1, 2)
         return self.sweep(views[0], views[1:], Geometry(K, cam_from_world, near, far, scores, extents), count)
 
-    def pyramid(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def pyramid(self, images: Tensor) -> tuple[Tensor, ...]:
         """Features of (B,3,H,W) colours in [0, 1], by level 0, 1, 2."""
-        features: tuple[Tensor, Tensor, Tensor] = self.features((images - 0.45) / 0.25)
-        return features
+        return layers.in_strips(lambda strip: self.features((strip - 0.45) / 0.25), images)
 
     def coarse_hypotheses(
         self, K: Tensor, cam_from_world: Tensor, near: Tensor, far: Tensor, size: tuple[int, int]
@@ -313,12 +312,10 @@ class LCMMVSNet(nn.Module):
                               for n in reversed(inverse_depth.shape[2:])))
         terms = [homography_terms(level_intrinsics(K, level), geometry.cam_from_world, i + 1, pixels)
                  for i in range(len(sources))]
-        matched = [features.float() for features in (reference, *sources)]
-        if self.config.cosine:
-            matched = [unit_length(features) for features in matched]
+        compared = (lambda features: unit_length(features.float())) if self.config.cosine else Tensor.float
         weights = geometry.scores / geometry.scores.sum(1, keepdim=True)
         extents = geometry.extents * 0.5**level
-        inputs = CostVolumeInput(matched[0], matched[1:], extents, terms, weights, inverse_depth)
+        inputs = CostVolumeInput(compared(reference), sources, extents, terms, weights, inverse_depth, compared)
         context = (self.context[level](reference) if self.config.context else reference[:, :0]).unsqueeze(2)
         if torch.is_grad_enabled():
             repeated = context.expand(-1, -1, inverse_depth.shape[1], -1, -1)

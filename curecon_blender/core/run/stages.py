@@ -260,7 +260,7 @@ def _drop_textures(job: Job) -> None:
 # ---- the table
 
 DEPTH = Stage(
-    name="depth", version=3, weight=0.65, files=("depth/*.npz",), run=_estimate_depths, options=("precision",),
+    name="depth", version=4, weight=0.65, files=("depth/*.npz",), run=_estimate_depths, options=("precision",),
     inputs=_weights, in_budget=True,
 )
 STAGES = {stage.name: stage for stage in (
