@@ -9,7 +9,7 @@ together.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import exp
 from typing import Any
@@ -53,7 +53,6 @@ def fused_cost_volume(
     """
     # A group's mean becomes a sum.
     scaled = (inputs.reference * (groups / inputs.reference.shape[1])).permute(0, 2, 3, 1).float()
-    sizes = [(source.shape[2], source.shape[3]) for source in inputs.sources]
     strength = alpha.new_zeros(()) if beta is None else beta
     volumes = []
     for i in range(len(scaled)):
@@ -61,13 +60,13 @@ def fused_cost_volume(
         shifted = torch.stack([shift[i, :, 0] for _, shift in inputs.terms]).float()
         fixed = (inputs.extents[i].float(), rotated, shifted, inputs.inverse_depth[i].float(),
                  inputs.weights[i].float())
-        own = (inputs.compared(source[i : i + 1])[0].permute(1, 2, 0) for source in inputs.sources)
+        own = [source[i] for source in inputs.sources]
         if out is not None:
             _fill(out[i].permute(1, 2, 3, 0),
-                  _arguments(scaled[i], alpha, strength, fixed, beta is not None, sizes, own))
+                  _arguments(scaled[i], alpha, strength, fixed, beta is not None, own, inputs.compared))
             continue
-        volume: Tensor = _Fused.apply(
-            scaled[i], alpha, strength, fixed, groups, beta is not None, *own)
+        volume: Tensor = _Fused.apply(scaled[i], alpha, strength, fixed, groups, beta is not None,
+                                      *(inputs.compared(source.unsqueeze(0))[0] for source in own))
         volumes.append(volume.permute(3, 0, 1, 2))
     return torch.stack(volumes) if out is None else out
 
@@ -89,7 +88,7 @@ def _fill(volume: Tensor, arguments: tuple[Any, ...]) -> None:
 
 
 class _Fused(torch.autograd.Function):
-    """One sample: reference (h,w,C), sources (hs,ws,C) each, to the volume (M,h,w,K)."""
+    """One sample: reference (h,w,C), sources (C,hs,ws) each as they are compared, to the volume (M,h,w,K)."""
 
     @staticmethod
     def forward(
@@ -100,15 +99,13 @@ class _Fused(torch.autograd.Function):
         ctx.fixed, ctx.visibility = fixed, visibility
         h, w = reference.shape[:2]
         volume = reference.new_empty((fixed[3].shape[0], h, w, groups))
-        sizes = [(source.shape[0], source.shape[1]) for source in sources]
-        _fill(volume, _arguments(reference, alpha, beta, fixed, visibility, sizes, sources))
+        _fill(volume, _arguments(reference, alpha, beta, fixed, visibility, sources))
         return volume
 
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         reference, alpha, beta, *sources = ctx.saved_tensors
-        sizes = [(source.shape[0], source.shape[1]) for source in sources]
-        arguments = _arguments(reference, alpha, beta, ctx.fixed, ctx.visibility, sizes, sources)
+        arguments = _arguments(reference, alpha, beta, ctx.fixed, ctx.visibility, sources)
         upstream = np.ascontiguousarray(gradient.float().numpy())
         h, w, c = reference.shape
         to_reference = np.zeros((h, w, c), np.float32)
@@ -120,24 +117,29 @@ class _Fused(torch.autograd.Function):
             *arguments, upstream, to_reference, to_sources[band], to_scalars[band], top, bottom))
         total, scalars = to_sources.sum(0), to_scalars.sum(0)
         parts = np.split(total, arguments[2][1:, 2])
-        spread = [torch.from_numpy(part).view(source.shape) for part, source in zip(parts, sources, strict=True)]
+        spread = [torch.from_numpy(part).view(*source.shape[1:], c).permute(2, 0, 1)
+                  for part, source in zip(parts, sources, strict=True)]
         return (torch.from_numpy(to_reference), alpha.new_tensor(scalars[0]), beta.new_tensor(scalars[1]),
                 None, None, None, *spread)
 
 
 def _arguments(
     reference: Tensor, alpha: Tensor, beta: Tensor, fixed: tuple[Tensor, ...], visibility: bool,
-    sizes: list[tuple[int, int]], sources: Iterable[Tensor],
+    sources: Sequence[Tensor], compared: Callable[[Tensor], Tensor] = Tensor.float,
 ) -> tuple[Any, ...]:
-    """What both kernels begin with: reference (h,w,C), the pixels of all sources (P,C), sizes (N,3) as (hs, ws, first
-    pixel), extents (N,2) as (width, height), rotated (N,3,h*w), shifted (N,3), inverse depth (M,h,w), weights (N,),
-    alpha, beta, visibility."""
-    pixels = np.array([height * width for height, width in sizes], np.int64)
-    first = np.cumsum(pixels) - pixels
-    together = np.empty((int(pixels.sum()), reference.shape[2]), np.float32)
-    for at, count, source in zip(first, pixels, sources, strict=True):
-        together[at : at + count] = source.detach().reshape(-1, source.shape[2]).numpy()
-    places = np.column_stack([np.array(sizes, np.int64), first])
+    """What both kernels begin with: reference (h,w,C), the pixels of all sources (P,C), from `sources` (C,hs,ws) each
+    by way of `compared`, some rows at a time; sizes (N,3) as (hs, ws, first pixel), extents (N,2) as (width, height),
+    rotated (N,3,h*w), shifted (N,3), inverse depth (M,h,w), weights (N,), alpha, beta, visibility."""
+    sizes = np.array([source.shape[1:] for source in sources], np.int64)
+    first = np.cumsum(sizes.prod(axis=1)) - sizes.prod(axis=1)
+    together = np.empty((int(sizes.prod(axis=1).sum()), reference.shape[2]), np.float32)
+    for at, (height, width), source in zip(first, sizes, sources, strict=True):
+        rows = max(1, BAND_BYTES // (4 * width * reference.shape[2]))
+        for top in range(0, height, rows):
+            band = compared(source.detach()[None, :, top : top + rows])[0].permute(1, 2, 0)
+            start = at + top * width
+            together[start : start + band.shape[0] * width] = band.reshape(-1, band.shape[2]).numpy()
+    places = np.column_stack([sizes, first])
     extents, rotated, shifted, inverse_depth, weights = (np.ascontiguousarray(each.numpy()) for each in fixed)
     return (np.ascontiguousarray(reference.detach().numpy()), together, places, extents, rotated, shifted,
             inverse_depth, weights, np.float32(alpha.item()), np.float32(beta.item()), visibility)
