@@ -160,7 +160,7 @@ def test_a_small_memory_budget_changes_the_tiles_and_not_the_depth(
     workspace = finished[0]
     views = {view.name: view for view in read(workspace)[0].views}
     view = next(iter(views.values()))
-    budgets = [8.0, (BASE_BYTES + 90e6) / 2**30]
+    budgets = [8.0, (BASE_BYTES + 75e6) / 2**30]
     sources = [views[name] for name, _ in view.sources]
     assert [len(plan_tiles(view, sources, 48, int(b * 2**30))) > 1 for b in budgets] == [False, True]
     whole, tiled = (
