@@ -63,9 +63,9 @@ class CURECON_PT_control(Panel, bpy.types.Panel):
         self._draw_marking(context, properties)
 
     def _draw_point(self, context: bpy.types.Context, point: ControlPoint, item: bpy.types.PropertyGroup) -> None:
+        self.layout.row(align=True).prop(item, "role", expand=True)
         column = self.layout.column(align=True)
         column.use_property_split, column.use_property_decorate = True, False
-        column.row(align=True).prop(item, "role", expand=True)
         column.prop(item, "sigma_plan")
         if point.place[2] is not None:
             column.prop(item, "sigma_height")

@@ -112,6 +112,11 @@ def is_overlaid(camera: bpy.types.Object | None) -> bool:
         background.display_depth == "FRONT" and background.alpha > 0 for background in camera.data.background_images)
 
 
+def hides_scene(camera: bpy.types.Object | None) -> bool:
+    """Whether one who looks through a camera sees its photo alone."""
+    return is_overlaid(camera) and any(background.alpha >= 1 for background in camera.data.background_images)
+
+
 def is_photo_camera(candidate: bpy.types.Object | None) -> bool:
     return candidate is not None and candidate.type == "CAMERA" and SIZE_KEY in candidate.data
 

@@ -48,6 +48,11 @@ def take(file: Path, workspace: Path) -> bool:
     return True
 
 
+def has(file: Path) -> bool:
+    """Whether it was last asked to take up that photo."""
+    return file == _file
+
+
 def shows(file: Path) -> bool:
     """Whether it has taken up that photo. Drawing alone puts it on the graphics card."""
     global _texture

@@ -20,7 +20,7 @@ from bpy.app.handlers import persistent
 from gpu_extras.batch import batch_for_shader
 from mathutils import Euler, Matrix, Vector
 
-from . import display
+from . import cameras, display
 from .points import CLOUD_KEY, COLOUR, Bounds
 from .workspace import clouds_of
 
@@ -212,7 +212,8 @@ def _draw() -> None:
     alive = {_upload_key(data) for data in bpy.data.pointclouds if CLOUD_KEY in data}
     for key in _uploads.keys() - alive:
         del _uploads[key]
-    if not clouds:
+    photo_alone = context.region_data.view_perspective == "CAMERA" and cameras.hides_scene(space.camera)
+    if not clouds or photo_alone:
         return
     shader, settings, region = _get_shader(), display.of(context.scene), context.region
     view, share = context.region_data, _shown_share(context, sum(len(item.data.points) for item in clouds))
