@@ -124,8 +124,6 @@ class CURECON_OT_mark_points(bpy.types.Operator):
         if self._camera(context) is None and not show_next(context, 0):
             self.report({"WARNING"}, "The point is in none of the photos.")
             return {"CANCELLED"}
-        self._extras = context.space_data.overlay.show_extras
-        context.space_data.overlay.show_extras = False  # the other cameras' frames would lie over the photo
         self._taken_up(context)
         picking.prepare(context)
         context.window.cursor_modal_set("CROSSHAIR")
@@ -235,7 +233,6 @@ class CURECON_OT_mark_points(bpy.types.Operator):
         control_overlay.mouse, control_overlay.marking = None, 0
         loupe.forget()
         picking.forget()
-        self._area.spaces.active.overlay.show_extras = self._extras
         self._area.header_text_set(None)
         if context.window is not None:
             context.window.cursor_modal_restore()

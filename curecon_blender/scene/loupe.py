@@ -20,6 +20,7 @@ from ..core.base.shares import is_safe
 SIDE = 240.0  # pixels of the screen at interface scale 1
 ZOOMS = (2.0, 4.0, 8.0, 16.0)  # pixels of the screen for one of the photo
 GAP = 24.0  # between the mouse and the loupe
+KEY = "curecon_loupe"  # on the pictures that it loads
 LINE, EDGE = (1.0, 1.0, 1.0, 0.9), (0.0, 0.0, 0.0, 1.0)
 
 zoom = 1  # which of ZOOMS
@@ -44,7 +45,7 @@ def take(file: Path, workspace: Path) -> bool:
     if not image.size[0]:
         bpy.data.images.remove(image)
         return False
-    _name = image.name
+    image[KEY], _name = True, image.name
     return True
 
 
@@ -67,10 +68,9 @@ def shows(file: Path) -> bool:
 def forget() -> None:
     """Give the photo's memory back."""
     global _name, _file, _texture
-    _texture, _file = None, None
-    if _name and (image := bpy.data.images.get(_name)) is not None and image.users == 0:
+    _texture, _file, _name = None, None, ""
+    for image in [image for image in bpy.data.images if KEY in image and image.users == 0]:  # an undo brings them back
         bpy.data.images.remove(image)
-    _name = ""
 
 
 def draw(

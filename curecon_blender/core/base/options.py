@@ -39,14 +39,20 @@ PRESETS = {
 }
 
 
-RUN, SURFACE, CHECK, SELF_CHECK = "reconstruct", "surface", "check", "self-check"  # the worker's commands
+# The worker's commands.
+RUN, SURFACE, CHECK, SELF_CHECK, CONTROL = "reconstruct", "surface", "check", "self-check", "control"
+
+
+# Coded targets as OpenCV's aruco module calls them, the most usual first.
+DICTIONARIES = ("4X4_50", "4X4_1000", "5X5_1000", "6X6_1000", "7X7_1000", "ARUCO_ORIGINAL", "APRILTAG_36h11")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Argument:
     """How an option is given on the command line, and what a person is told of it.
 
-    A number is at least `least` (above it where `above`), and at most `most`; `parts` names the numbers of a tuple.
+    A number is at least `least` (above it where `above`), and at most `most`; `parts` names the numbers of a tuple, and
+    `many` is for one value or more.
     """
 
     flag: str
@@ -58,6 +64,7 @@ class Argument:
     above: bool = False
     most: float | None = None
     parts: tuple[str, ...] = ()
+    many: bool = False
 
 
 def _as(flag: str, help: str, **facts: Any) -> dict[str, Argument]:
@@ -82,6 +89,12 @@ class Options:
         "photos, panoramas, maps, screenshots, copies", commands=(RUN, CHECK)))
     model: Path | None = field(default=None, metadata=_as(
         "--model", "a COLMAP model (text or binary) in place of the sparse stage", unit="folder"))
+    control: tuple[Path, ...] = field(default=(), metadata=_as(
+        "--control", "files of control points and marks, for this and later runs: ODM, Pix4D, Metashape, name,x,y,z",
+        unit="file", many=True))
+    control_system: str = field(default="", metadata=_as(
+        "--control-system", "what the control points are in where their file does not say so: WGS84, 'UTM 50N', "
+        "EPSG:2180 or local", unit="system"))
     max_image_size: int | None = field(default=None, metadata=_as(
         "--max-image-size", "longest side of a depth map, in place of the quality's", unit="pixels", least=1))
     views: int | None = field(default=None, metadata=_as(
@@ -169,6 +182,8 @@ def arguments(options: Options, command: str) -> list[str]:
             continue
         if isinstance(value, bool):
             given.append(argument.flag if value else f"--no-{argument.flag[2:]}")
+        elif argument.many:
+            given += [argument.flag, *map(str, value)]
         elif isinstance(value, tuple):
             given += [argument.flag, *(f"{number:.9f}" for number in value)]
         else:

@@ -10,7 +10,19 @@ from dataclasses import Field, fields
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
-from ..base.options import CHECK, RUN, SELF_CHECK, STAGES, SURFACE, SURFACE_STAGES, Argument, Options, declared
+from ..base.options import (
+    CHECK,
+    CONTROL,
+    DICTIONARIES,
+    RUN,
+    SELF_CHECK,
+    STAGES,
+    SURFACE,
+    SURFACE_STAGES,
+    Argument,
+    Options,
+    declared,
+)
 
 EXIT_CODES = """exit codes:
   0  done                     5  workspace: read-only, full, in use, newer
@@ -54,6 +66,15 @@ def parser() -> argparse.ArgumentParser:
     check.add_argument("--workspace", type=Path, help="where the job would be kept, for its disk's free space")
     check.add_argument("--thumbnails", type=Path, metavar="FOLDER",
                        help="folder for small pictures of blurred and badly exposed photos")
+    control = command(CONTROL, "control points of a workspace: import, find coded targets in the photos, export")
+    control.add_argument("workspace", type=Path)
+    control.add_argument("--import", dest="imported", type=Path, nargs="+", default=[], metavar="FILE",
+                         help="files of points and marks: ODM, Pix4D, Metashape, or name,x,y,z")
+    control.add_argument("--system", default="", help="what their coordinates are in where they do not say so")
+    control.add_argument("--find-targets", action="store_true",
+                         help="mark the points whose names end in the number of a coded target (ArUco)")
+    control.add_argument("--dictionary", choices=DICTIONARIES, default=DICTIONARIES[0], help="which targets they are")
+    control.add_argument("--export", type=Path, metavar="FILE", help="write points and marks as ODM's gcp_list.txt")
     command(SELF_CHECK, "reconstruct synthetic views, and say what this computer has")
     return main
 
@@ -75,6 +96,8 @@ def _add(parser: argparse.ArgumentParser, option: Field[Any], argument: Argument
         facts["choices"] = argument.choices
     elif argument.parts:
         facts |= {"type": float, "nargs": len(argument.parts), "metavar": argument.parts}
+    elif argument.many:
+        facts |= {"type": kind, "nargs": "+", "metavar": argument.unit.upper()}
     else:
         facts |= {"type": _within(kind, argument), "metavar": argument.unit.upper() or None}
     parser.add_argument(argument.flag, **facts)

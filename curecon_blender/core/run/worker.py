@@ -24,6 +24,7 @@ from typing import TextIO
 from ..base import messages
 from ..base.errors import CuReconError, OutOfMemory, SetupError, ran_out_of_memory
 from ..base.messages import Message, Reporter
+from ..base.options import CONTROL
 from .command_line import options_of, parser
 
 LIBRARIES = ("numpy", "PIL", "psutil", "cv2", "safetensors", "scipy", "torch", "pycolmap", "xatlas", "numba")
@@ -81,6 +82,11 @@ def _run(options: argparse.Namespace, reporter: Reporter) -> dict[str, object]:
         from .self_check import self_check
 
         return self_check(options.device, reporter)
+    if options.command == CONTROL:
+        from .control import run_control
+
+        return run_control(options.workspace, options.imported, options.system, options.find_targets,
+                           options.dictionary, options.export, reporter)
     if options.command == "check":
         return pipeline.check(options_of(options), options.thumbnails, reporter)
     return pipeline.reconstruct(options_of(options), reporter)
