@@ -114,7 +114,8 @@ def is_overlaid(camera: bpy.types.Object | None) -> bool:
 
 def hides_scene(camera: bpy.types.Object | None) -> bool:
     """Whether one who looks through a camera sees its photo alone."""
-    return is_overlaid(camera) and any(background.alpha >= 1 for background in camera.data.background_images)
+    return camera is not None and is_overlaid(camera) and any(
+        background.alpha >= 1 for background in camera.data.background_images)
 
 
 def is_photo_camera(candidate: bpy.types.Object | None) -> bool:
