@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Make the sample site: `python samples/make_site.py photos|depth|cloud [--out DIR] [--photos 1 2 ...]`.
+"""Make the sample site: `python samples/make_site.py photos|depth|cloud|nadir [--out DIR] [--photos 1 2 ...]`.
 
 photos  renders the drone photos and writes the true poses (default: samples/tulou)
 depth   writes each photo's exact z-depth as DIR/NAME.npz: key `depth`, (H, W) float32 metres, 0 in the sky
 cloud   rebuilds truth/cloud.npz from depth maps (DIR as made by `depth`; made in a temporary folder if left out)
+nadir   renders the second flight, straight down with targets on the ground (default: samples/tulou_nadir)
+nadir-depth  writes the z-depth of its pinhole pictures, as `depth` does (see tulou/README.md)
 
-Needs Python 3.11 with bpy 4.5, numpy and pillow.
+Needs Python 3.11 with bpy 4.5, numpy and pillow; the second flight also scipy, opencv and pycolmap.
 """
 
 from __future__ import annotations
@@ -13,20 +15,40 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
+from datetime import datetime
 from pathlib import Path
 
 import bpy
 import numpy as np
+from nadir_flight import (
+    LENS,
+    PINHOLE_FOCAL,
+    PINHOLE_HEIGHT,
+    PINHOLE_WIDTH,
+    nadir_flight,
+    photograph,
+)
 from PIL import Image
 from site_flight import LATITUDE, LONGITUDE, TAKE_OFF, UTC_OFFSET, Shot, develop, flight, save_photo
-from site_scene import FOCAL, HEIGHT, WIDTH, aim, build_scene, set_depth_renderer, set_photo_renderer, sun_direction
+from site_scene import (
+    FOCAL,
+    HEIGHT,
+    WIDTH,
+    aim,
+    build_scene,
+    set_camera,
+    set_depth_renderer,
+    set_photo_renderer,
+    sun_direction,
+)
+from site_targets import add_targets, marks, write_targets
 from site_truth import make_cloud, write_model
 
 TULOU = Path(__file__).resolve().parent / "tulou"
 
 
-def make_scene() -> bpy.types.Scene:
-    return build_scene(sun_direction(LATITUDE, LONGITUDE, TAKE_OFF - UTC_OFFSET))
+def make_scene(time: datetime = TAKE_OFF) -> bpy.types.Scene:
+    return build_scene(sun_direction(LATITUDE, LONGITUDE, time - UTC_OFFSET))
 
 
 def render_photos(shots: list[Shot], out: Path, samples: int) -> None:
@@ -45,11 +67,42 @@ def render_photos(shots: list[Shot], out: Path, samples: int) -> None:
             print(f"{shot.name}: {time.monotonic() - start:.1f} s", flush=True)
 
 
-def render_depths(shots: list[Shot], out: Path) -> None:
+def render_nadir(chosen: set[int], out: Path, samples: int) -> None:
+    """Render the second flight to out: photos and photos_rtk (the same pictures), targets and truth."""
+    recorded = nadir_flight()
+    shots = recorded["standard"]
+    scene = make_scene(shots[0].time)
+    points = add_targets(scene)
+    write_targets(points, marks(scene, points, shots), out / "targets")
+    write_model(shots, f"OPENCV {WIDTH} {HEIGHT} {LENS.colmap()}", out / "truth")
+    set_photo_renderer(scene, samples)
+    set_camera(scene, PINHOLE_FOCAL, PINHOLE_WIDTH, PINHOLE_HEIGHT)
+    folders = {"standard": out / "photos", "rtk": out / "photos_rtk"}
+    for folder in folders.values():
+        folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as scratch:
+        for i in sorted(chosen or range(1, len(shots) + 1)):
+            start, shot = time.monotonic(), shots[i - 1]
+            aim(scene, shot.cam_from_world)
+            scene.render.filepath = f"{scratch}/render.png"
+            bpy.ops.render.render(write_still=True)
+            picture = photograph(np.asarray(Image.open(scene.render.filepath).convert("RGB")))
+            picture = develop(picture, shot)
+            for kind, folder in folders.items():
+                save_photo(picture, recorded[kind][i - 1], folder / shot.name)
+            print(f"{shot.name}: {time.monotonic() - start:.1f} s", flush=True)
+
+
+def render_depths(
+    shots: list[Shot], out: Path, focal: float = FOCAL, width: int = WIDTH, height: int = HEIGHT, targets: bool = False
+) -> None:
     """Write the depth maps of shots to out."""
     out.mkdir(parents=True, exist_ok=True)
     scene = make_scene()
+    if targets:
+        add_targets(scene)
     set_depth_renderer(scene)
+    set_camera(scene, focal, width, height)
     with tempfile.TemporaryDirectory() as scratch:
         for shot in shots:
             aim(scene, shot.cam_from_world)
@@ -57,10 +110,10 @@ def render_depths(shots: list[Shot], out: Path) -> None:
             bpy.ops.render.render(write_still=True)
         for shot in shots:  # in a second round: loading an image makes Cycles build its scene anew
             image = bpy.data.images.load(f"{scratch}/{shot.name}.exr")
-            pixels = np.empty(WIDTH * HEIGHT * 4, np.float32)
+            pixels = np.empty(width * height * 4, np.float32)
             image.pixels.foreach_get(pixels)
             bpy.data.images.remove(image)
-            depth = pixels.reshape(HEIGHT, WIDTH, 4)[::-1, :, 0]
+            depth = pixels.reshape(height, width, 4)[::-1, :, 0]
             np.savez_compressed(out / f"{Path(shot.name).stem}.npz", depth=depth)
 
 
@@ -77,7 +130,7 @@ def build_cloud(shots: list[Shot], depth_folder: Path, path: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("photos", "depth", "cloud"))
+    parser.add_argument("what", choices=("photos", "depth", "cloud", "nadir", "nadir-depth"))
     parser.add_argument("--out", type=Path, help="photos: the site's folder; depth and cloud: that of the depth maps")
     parser.add_argument("--photos", type=int, nargs="+", help="numbers of the photos to render (default: all)")
     parser.add_argument("--samples", type=int, default=4, help="rays a pixel of the photos (default: 4)")
@@ -86,12 +139,19 @@ def main() -> None:
     chosen = [shot for i, shot in enumerate(shots, 1) if not arguments.photos or i in arguments.photos]
     if arguments.what == "photos":
         out = arguments.out or TULOU
-        write_model(shots, WIDTH, HEIGHT, FOCAL, out / "truth")
+        lens = f"PINHOLE {WIDTH} {HEIGHT} {FOCAL} {FOCAL} {WIDTH / 2} {HEIGHT / 2}"
+        write_model(shots, lens, out / "truth")
         render_photos(chosen, out, arguments.samples)
-    elif arguments.what == "depth":
+    elif arguments.what == "nadir":
+        render_nadir(set(arguments.photos or ()), arguments.out or TULOU.with_name("tulou_nadir"), arguments.samples)
+    elif arguments.what in ("depth", "nadir-depth"):
         if arguments.out is None:
-            parser.error("depth needs --out")
-        render_depths(chosen, arguments.out)
+            parser.error(f"{arguments.what} needs --out")
+        if arguments.what == "depth":
+            render_depths(chosen, arguments.out)
+        else:
+            shots = [s for i, s in enumerate(nadir_flight()["rtk"], 1) if not arguments.photos or i in arguments.photos]
+            render_depths(shots, arguments.out, PINHOLE_FOCAL, PINHOLE_WIDTH, PINHOLE_HEIGHT, targets=True)
     else:
         with tempfile.TemporaryDirectory() as scratch:
             folder = arguments.out or Path(scratch)

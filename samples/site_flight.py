@@ -7,7 +7,7 @@ in metres at ORIGIN).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -37,7 +37,8 @@ _XMP = """<?xpacket begin="\ufeff" id="W5M0MpCehiHzreSzNTczkc9d"?>
 @dataclass(frozen=True, kw_only=True)
 class Shot:
     """One photo: its name, true pose, angles in degrees (yaw clockwise from north, pitch -90 = straight down),
-    local time, and the position its GPS recorded (degrees, degrees, metres)."""
+    local time, the position its GPS recorded (degrees, degrees, metres), the lens's focal length as EXIF tells it, the
+    height above the take-off that the drone tells (None: the altitude's), and further values of the XMP."""
 
     name: str
     cam_from_world: np.ndarray
@@ -48,6 +49,10 @@ class Shot:
     latitude: float
     longitude: float
     altitude: float
+    focal_mm: float = FOCAL_MM
+    focal_35mm: int = FOCAL_35MM
+    relative_altitude: float | None = None
+    xmp: dict[str, str] = field(default_factory=dict)
 
 
 def pose(eye: np.ndarray, yaw: float, pitch: float, roll: float) -> np.ndarray:
@@ -185,10 +190,10 @@ def save_photo(picture: np.ndarray, shot: Shot, path: Path) -> None:
             36867: shot.time.strftime("%Y:%m:%d %H:%M:%S"),
             36868: shot.time.strftime("%Y:%m:%d %H:%M:%S"),
             36881: "+08:00",
-            37386: IFDRational(round(FOCAL_MM * 100), 100),
+            37386: IFDRational(round(shot.focal_mm * 100), 100),
             40962: image.width,
             40963: image.height,
-            41989: FOCAL_35MM,
+            41989: shot.focal_35mm,
         }
     )
     exif.get_ifd(0x8825).update(
@@ -203,18 +208,19 @@ def save_photo(picture: np.ndarray, shot: Shot, path: Path) -> None:
             18: "WGS-84",
         }
     )
+    above = shot.altitude - ALTITUDE if shot.relative_altitude is None else shot.relative_altitude
     fields = {
         "GpsLatitude": f"{shot.latitude:+.8f}",
         "GpsLongitude": f"{shot.longitude:+.8f}",
         "AbsoluteAltitude": f"{shot.altitude:+.2f}",
-        "RelativeAltitude": f"{shot.altitude - ALTITUDE:+.2f}",
+        "RelativeAltitude": f"{above:+.2f}",
         "GimbalRollDegree": f"{shot.roll:+.2f}",
         "GimbalYawDegree": f"{(shot.yaw + 180) % 360 - 180:+.2f}",
         "GimbalPitchDegree": f"{shot.pitch:+.2f}",
         "FlightRollDegree": "+0.40",
         "FlightYawDegree": f"{(shot.yaw + 180) % 360 - 180:+.2f}",
         "FlightPitchDegree": "-1.10",
-    }
+    } | shot.xmp
     text = "\n   ".join(f'drone-dji:{key}="{value}"' for key, value in fields.items())
     image.save(
         path, quality=JPEG_QUALITY, subsampling="4:2:0", optimize=True, exif=exif, xmp=_XMP.format(fields=text).encode()

@@ -99,6 +99,12 @@ def aim(scene: bpy.types.Scene, cam_from_world: np.ndarray) -> None:
     scene.camera.matrix_world = Matrix(world_from_cam.tolist())
 
 
+def set_camera(scene: bpy.types.Scene, focal: float, width: int, height: int) -> None:
+    """A pinhole of a focal length in pixels over pictures of width x height; run after setting a renderer."""
+    scene.render.resolution_x, scene.render.resolution_y = width, height
+    scene.camera.data.lens = 36.0 * focal / width
+
+
 def set_photo_renderer(scene: bpy.types.Scene, samples: int, scale: float = 1.0) -> None:
     """Cycles on the CPU with denoising guided by albedo and normal; PNG output."""
     scene.render.engine = "CYCLES"

@@ -32,12 +32,13 @@ def quaternion(rotation: np.ndarray) -> np.ndarray:
     return q if q[0] >= 0 else -q
 
 
-def write_model(shots: list[Shot], width: int, height: int, focal: float, folder: Path) -> None:
-    """cameras.txt, images.txt and an empty points3D.txt as COLMAP writes them, and origin.json."""
+def write_model(shots: list[Shot], camera: str, folder: Path) -> None:
+    """cameras.txt, images.txt and an empty points3D.txt as COLMAP writes them, and origin.json. `camera` is its line
+    in cameras.txt, after the number."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "cameras.txt").write_text(
         "# Camera list with one line of data per camera:\n#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n"
-        f"1 PINHOLE {width} {height} {focal} {focal} {width / 2} {height / 2}\n"
+        f"1 {camera}\n"
     )
     lines = [
         "# Image list with two lines of data per image:",
