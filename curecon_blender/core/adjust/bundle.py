@@ -23,7 +23,7 @@ LENS_PARAMETERS = ("f", "aspect", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 MOST_STEPS = 60
 CONVERGED = 1e-5  # relative change of the cost
 _LEAST_SIGMA = 0.25  # pixels; no feature is found more exactly
-_CAUCHY = 2.0  # sigmas of a residual from where on it counts less and less
+CAUCHY = 2.0  # sigmas of a residual from where on it counts less and less
 _EASE = 5.0  # by which control's sigmas fall from step to step until they are as stated
 _LEAST_DAMPING, _MOST_DAMPING = 1e-12, 1e6
 
@@ -141,12 +141,12 @@ def robust_sigma(bundle: Bundle) -> float:
 
 def _weights(off: np.ndarray) -> np.ndarray:
     """Cauchy weights of distances (n,) in sigmas; 0 where infinite."""
-    return 1 / (1 + (off / _CAUCHY) ** 2)
+    return 1 / (1 + (off / CAUCHY) ** 2)
 
 
 def _loss(off: np.ndarray) -> float:
     """Cauchy's loss of distances (n,) in sigmas; a point behind a camera costs what one very far off does."""
-    return float(np.sum(_CAUCHY**2 * np.log1p((np.minimum(off, 1e6) / _CAUCHY) ** 2)))
+    return float(np.sum(CAUCHY**2 * np.log1p((np.minimum(off, 1e6) / CAUCHY) ** 2)))
 
 
 def _cost(bundle: Bundle, sigmas: np.ndarray) -> float:

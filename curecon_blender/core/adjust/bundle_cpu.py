@@ -207,3 +207,86 @@ def move_points(
         for c in range(3):
             moved[p, c] = inverses[p, c, 0] * force[0] + inverses[p, c, 1] * force[1] + inverses[p, c, 2] * force[2]
     return moved
+
+
+@njit(nogil=True, error_model="numpy")
+def _followed(
+    p: int, photo: np.ndarray, lens_of: np.ndarray, starts: np.ndarray, photos: int, inverse: np.ndarray,
+    coupling: np.ndarray, at: np.ndarray, follows: np.ndarray,
+) -> int:
+    """Fill, for the photos and lenses that see point p, the numbers `at` of their parameters in the system and how the
+    point follows each of them, `follows` (n,3); n."""
+    first_lens, n = POSE * photos, 0
+    for i in range(starts[p], starts[p + 1]):
+        m = first_lens + LENS * lens_of[photo[i]]
+        for r in range(POSE + LENS):
+            if r < POSE:
+                row, slot = POSE * photo[i] + r, n + r
+            elif r == POSE:
+                n += POSE
+                row, slot = m, 0
+                while slot < n and at[slot] != m:
+                    slot += 1
+                if slot == n:
+                    n += LENS
+                    follows[slot:n] = 0
+            else:
+                row, slot = row + 1, slot + 1
+            if r < POSE:
+                follows[slot] = 0
+            at[slot] = row
+            for axis in range(3):
+                follows[slot, axis] -= (inverse[axis, 0] * coupling[i, r, 0] + inverse[axis, 1] * coupling[i, r, 1]
+                                        + inverse[axis, 2] * coupling[i, r, 2])
+    return n
+
+
+@njit(nogil=True, error_model="numpy")
+def shape_response(
+    photo: np.ndarray, lens_of: np.ndarray, starts: np.ndarray, photos: int, inverses: np.ndarray,
+    coupling: np.ndarray, of_points: np.ndarray, size: int,
+) -> np.ndarray:
+    """(7,D) the sum over points of their similarity's (P,3,7) transpose times how they follow photos and lenses."""
+    result = np.zeros((of_points.shape[2], size))
+    longest = (POSE + LENS) * np.max(starts[1:] - starts[:-1])
+    at, follows = np.empty(longest, np.int64), np.empty((longest, 3))
+    for p in range(len(inverses)):
+        n = _followed(p, photo, lens_of, starts, photos, inverses[p], coupling, at, follows)
+        for i in range(n):
+            for k in range(len(result)):
+                for axis in range(3):
+                    result[k, at[i]] += of_points[p, axis, k] * follows[i, axis]
+    return result
+
+
+@njit(nogil=True, error_model="numpy")
+def point_covariances(
+    photo: np.ndarray, lens_of: np.ndarray, starts: np.ndarray, photos: int, inverses: np.ndarray,
+    coupling: np.ndarray, of_points: np.ndarray, cameras: np.ndarray, through: np.ndarray, datum: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """(P,3,3) of the points, and of what is left after the similarity (7) of the points is taken off.
+
+    `cameras` (D,D) is the covariance of photos and lenses, `through` (D,7) theirs with the similarity, `datum` (7,7)
+    the similarity's own.
+    """
+    count, kinds = len(inverses), datum.shape[0]
+    points, shapes = np.empty((count, 3, 3)), np.empty((count, 3, 3))
+    longest = (POSE + LENS) * np.max(starts[1:] - starts[:-1])
+    at, follows = np.empty(longest, np.int64), np.empty((longest, 3))
+    own, cross, with_similarity = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, kinds))
+    for p in range(count):
+        n = _followed(p, photo, lens_of, starts, photos, inverses[p], coupling, at, follows)
+        own[:], with_similarity[:] = inverses[p], 0
+        for i in range(n):
+            for k in range(kinds):
+                for axis in range(3):
+                    with_similarity[axis, k] += follows[i, axis] * through[at[i], k]
+            for j in range(n):
+                value = cameras[at[i], at[j]]
+                for r in range(3):
+                    for c in range(3):
+                        own[r, c] += follows[i, r] * value * follows[j, c]
+        cross[:] = with_similarity @ of_points[p].T
+        points[p] = own
+        shapes[p] = own - cross - cross.T + of_points[p] @ datum @ of_points[p].T
+    return points, shapes

@@ -1,0 +1,168 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How precisely an adjustment knows its cameras, lenses and points: covariances, by propagation of errors.
+
+Everything is free at once: a point's covariance holds what the cameras, the lenses and the datum contribute to it, not
+only its own observations (Förstner and Wrobel 2016, Photogrammetric Computer Vision, 15.3).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from . import bundle_cpu
+from .bundle import CAUCHY, Bundle
+from .bundle_cpu import LENS, POSE
+
+OUTLIER = 4.0  # sigmas of a residual from where on an observation tells nothing
+SIMILARITY = 7  # shift, turn, scale
+
+
+@dataclass(frozen=True, kw_only=True)
+class Precision:
+    """Covariances of an adjusted bundle, in its world's metres, radians and pixels.
+
+    `points` (P,3,3) and `centres` (N,3,3) in the frame, with its datum; `turns` (N,3) and `lenses` (L,9) are sigmas.
+    `shapes` (P,3,3) are those of the points within the site: after the best shift, turn and scale. `datum` (7,7) is of
+    those: shift of the points' middle, turn, and relative scale. `held` is False where nothing but the photos says
+    where the model stands (a free network): then `points` and `centres` are of the shape too, and `datum` is 0.
+    """
+
+    points: np.ndarray
+    shapes: np.ndarray
+    centres: np.ndarray
+    turns: np.ndarray
+    lenses: np.ndarray
+    datum: np.ndarray
+    middle: np.ndarray
+    sigma: float  # of one coordinate of an observation, pixels
+    held: bool
+
+
+def precision(bundle: Bundle) -> Precision:
+    """The precision of a bundle that is adjusted: its residuals tell how good its observations are.
+
+    Positions are taken to err by an offset that all photos share, as large as each one's sigma, and by what changes
+    from photo to photo as slowly as their residuals show: the mean of many is hardly better than one.
+    """
+    weights = _weights(bundle)
+    system, inverses, coupling = _system(bundle, weights)
+    held = bool(np.isfinite(bundle.position_sigmas).any() or len(bundle.control) >= 3)
+    middle, photos = bundle.points.mean(axis=0), len(bundle.centres)
+    moves = _similarities(bundle, middle)
+    cameras = _inverse(system if held else system + _gauge(moves, system))
+    if held:
+        cameras += cameras @ _shared(bundle) @ cameras
+    of_points = _similarity_of(bundle.points - middle)
+    towards = bundle_cpu.shape_response(
+        bundle.photo, bundle.lens_of, bundle.starts, photos, inverses, coupling, of_points, len(system)
+    )
+    normal = np.einsum("pij,pik->jk", of_points, of_points)
+    responses = np.linalg.solve(normal, towards)  # (7,D): the similarity by which the points follow the cameras
+    through, datum = cameras @ responses.T, responses @ cameras @ responses.T
+    points, shapes = bundle_cpu.point_covariances(
+        bundle.photo, bundle.lens_of, bundle.starts, photos, inverses, coupling, of_points, cameras, through, datum
+    )
+    if not held:
+        free = moves @ responses  # a camera's move that is the points'
+        shape = np.eye(len(system)) - free
+        cameras = shape @ cameras @ shape.T
+        points, datum = shapes, np.zeros_like(datum)
+    poses = np.diag(cameras)[: POSE * photos].reshape(photos, POSE)
+    at = POSE * np.arange(photos)[:, None, None] + 3
+    return Precision(
+        points=points, shapes=shapes, middle=middle, datum=datum, held=held,
+        centres=cameras[at + np.arange(3)[:, None], at + np.arange(3)],
+        turns=np.sqrt(poses[:, :3]), lenses=np.sqrt(np.diag(cameras)[POSE * photos :].reshape(-1, LENS)),
+        sigma=float(np.median(1 / np.sqrt(weights[weights > 0]))) if (weights > 0).any() else np.inf,
+    )
+
+
+def _weights(bundle: Bundle) -> np.ndarray:
+    """(M,) information of a coordinate of each observation: what the adjustment's estimator gets out of observations
+    whose residuals are as these (Huber 1981), 0 for an outlier."""
+    sigmas = bundle.sigmas()
+    told = np.zeros(len(sigmas), bool) if bundle.observation_sigmas is None else ~np.isnan(bundle.observation_sigmas)
+    off = np.linalg.norm(bundle.residuals(), axis=1) / sigmas
+    unknowns = 3 * len(bundle.points) + POSE * len(bundle.centres)
+    q = (off[(off < OUTLIER) & ~told] / CAUCHY) ** 2 / max(1 - unknowns / (2 * max(len(off), 1)), 0.1)
+    slope, square = np.mean(1 / (1 + q) ** 2), np.mean(q / (1 + q) ** 2) * CAUCHY**2 / 2
+    gained = np.where(told, 1.0, slope**2 / square)
+    return np.where(off < OUTLIER, gained / sigmas**2, 0.0)
+
+
+def _system(bundle: Bundle, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The reduced system (D,D) with all that is known beforehand, and as bundle_cpu.reduce gives them the points'
+    inverse blocks and each observation's coupling."""
+    photos, size = len(bundle.centres), POSE * len(bundle.centres) + LENS * len(bundle.lenses)
+    system = np.zeros((size, size))
+    known = np.zeros_like(bundle.points)
+    known[bundle.control] = 1 / bundle.control_sigmas**2
+    inverses, _, coupling = bundle_cpu.reduce(
+        bundle.rotations, bundle.centres, bundle.lenses, bundle.lens_of, bundle.points, bundle.photo, bundle.starts,
+        bundle.pixels, weights, 0.0, known, np.zeros_like(known), system, np.zeros(size),
+    )
+    system = np.tril(system) + np.tril(system, -1).T
+    poses = np.column_stack([np.repeat(bundle.attitude_sigmas[:, None], 3, axis=1), bundle.position_sigmas])
+    system[np.diag_indices(size)] += np.concatenate([1 / poses.ravel() ** 2, 1 / bundle.lens_sigmas.ravel() ** 2])
+    return system, inverses, coupling
+
+
+def _inverse(system: np.ndarray) -> np.ndarray:
+    units = 1 / np.sqrt(np.maximum(np.diag(system), 1e-30))  # what is held fast weighs 1e18 times what is not
+    factor = cho_factor(system * np.outer(units, units), overwrite_a=True)
+    return np.asarray(cho_solve(factor, np.diag(units)) * units[:, None])
+
+
+def _similarity_of(offsets: np.ndarray) -> np.ndarray:
+    """(P,3,7) how places at offsets (P,3) from the middle follow a shift, a small turn, a relative change of scale."""
+    x, y, z = offsets.T
+    o, one = np.zeros_like(x), np.ones_like(x)
+    rows = [[one, o, o, o, z, -y, x], [o, one, o, -z, o, x, y], [o, o, one, y, -x, o, z]]
+    return np.ascontiguousarray(np.array(rows).transpose(2, 0, 1))
+
+
+def _similarities(bundle: Bundle, middle: np.ndarray) -> np.ndarray:
+    """(D,7) how the cameras follow the same."""
+    photos = len(bundle.centres)
+    moves = np.zeros((POSE * photos + bundle.lenses.size, SIMILARITY))
+    poses = moves[: POSE * photos].reshape(photos, POSE, SIMILARITY)
+    poses[:, :3, 3:6] = -bundle.rotations
+    poses[:, 3:] = _similarity_of(bundle.centres - middle)
+    return moves
+
+
+def _gauge(moves: np.ndarray, system: np.ndarray) -> np.ndarray:
+    """What holds the datum of a free network, without a word on its shape."""
+    basis = np.linalg.qr(moves)[0]
+    return np.asarray(basis @ basis.T * np.median(np.diag(system)))
+
+
+def _shared(bundle: Bundle) -> np.ndarray:
+    """(D,D) what positions that err alike add to the variance of their gradient, which is their information."""
+    photos = len(bundle.centres)
+    result = np.zeros((POSE * photos + bundle.lenses.size,) * 2)
+    told = np.flatnonzero(np.isfinite(bundle.position_sigmas).all(axis=1))
+    if not len(told):
+        return result
+    off = ((bundle.centres - bundle.positions) / bundle.position_sigmas)[told]
+    alike = _kept(off) ** np.abs(told[:, None] - told[None])
+    for axis in range(3):
+        sigma = bundle.position_sigmas[told, axis]
+        at = POSE * told + 3 + axis
+        result[np.ix_(at, at)] = (alike + 1 - np.eye(len(told))) / np.outer(sigma, sigma)
+    return result
+
+
+def _kept(off: np.ndarray) -> float:
+    """The share of a position's error that the next photo's keeps, from residuals (N,3) in sigmas in the order of the
+    photos; mended for what the adjustment has taken from them (Kendall 1954)."""
+    off = np.clip(off, -3, 3)
+    count = len(off)
+    if count < 8:
+        return 0.0
+    found = float((off[1:] * off[:-1]).sum() / max((off**2).sum(), 1e-12))
+    return float(np.clip((count * found + 1) / (count - 4), 0.0, 0.98))
