@@ -18,6 +18,7 @@ from .bundle import CAUCHY, Bundle
 from .bundle_cpu import LENS, POSE
 
 OUTLIER = 4.0  # sigmas of a residual from where on an observation tells nothing
+FAR = 30.0  # times the flight's extent
 SIMILARITY = 7  # shift, turn, scale
 
 
@@ -97,10 +98,11 @@ def _weights(bundle: Bundle) -> np.ndarray:
 def _system(bundle: Bundle, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The reduced system (D,D) with all that is known beforehand, and as bundle_cpu.reduce gives them the points'
     inverse blocks and each observation's coupling."""
-    photos, size = len(bundle.centres), POSE * len(bundle.centres) + LENS * len(bundle.lenses)
+    size = POSE * len(bundle.centres) + bundle.lenses.size
     system = np.zeros((size, size))
-    known = np.zeros_like(bundle.points)
-    known[bundle.control] = 1 / bundle.control_sigmas**2
+    # No point is known to less than FAR: a ray alone, or two side by side, would leave a block without an inverse.
+    known = np.full_like(bundle.points, (FAR * np.ptp(bundle.centres, axis=0).max(initial=1e-6)) ** -2)
+    known[bundle.control] += 1 / bundle.control_sigmas**2
     inverses, _, coupling = bundle_cpu.reduce(
         bundle.rotations, bundle.centres, bundle.lenses, bundle.lens_of, bundle.points, bundle.photo, bundle.starts,
         bundle.pixels, weights, 0.0, known, np.zeros_like(known), system, np.zeros(size),
