@@ -65,7 +65,7 @@ def read_precision(folder: Path) -> PrecisionRecord | None:
         return None
     try:
         points, photos, lenses = (int(count) for count in read_arrays(path, {"counts": Expected((3,), "i")})["counts"])
-        if not (0 <= min(points, photos, lenses) and 128 * points + 48 * photos < min(path.stat().st_size, _MOST)):
+        if not (min(points, photos, lenses) >= 0 and 128 * points + 48 * photos < min(path.stat().st_size, _MOST)):
             raise ValueError("its counts are not those of its arrays")
         found = read_arrays(path, {
             "places": Expected((points, 3), "f"), "points": Expected((points, 3, 3), "f"),
