@@ -24,12 +24,32 @@ class PhotoResidual:
 
 
 @dataclass(frozen=True, kw_only=True)
+class PointResidual:
+    """How far the marks of a control or check point put it from its coordinates: metres along x, y and z of the frame.
+    `pixels` is the RMS distance of its marks from where all of them put it."""
+
+    name: str
+    off: tuple[_METRES, _METRES, _METRES]
+    marks: Annotated[int, Within(0, 1_000_000)]
+    pixels: Annotated[float, Within(0, FARTHEST)]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Accuracy:
-    """What a component's cameras rest on. `adjusted` is false for cameras as the mapper or a given model has them."""
+    """What a component's cameras rest on. `adjusted` is false for cameras as the mapper or a given model has them.
+
+    Points stand apart by what they tell: `control` holds the cameras, and shows how well its points agree; `check` took
+    no part; `left_out` are control points, each off as the cameras are without it. `checked` tells of which check
+    points and marks.
+    """
 
     adjusted: bool
     reprojection_error: Annotated[float, Within(0, FARTHEST)]  # pixels, mean over the observations
     gps: tuple[PhotoResidual, ...] = ()
+    control: tuple[PointResidual, ...] = ()
+    check: tuple[PointResidual, ...] = ()
+    left_out: tuple[PointResidual, ...] = ()
+    checked: str = ""
 
 
 def read_accuracy(folder: Path) -> Accuracy:

@@ -104,15 +104,17 @@ class Frame:
     """What is known of a component's world frame.
 
     `scale` is "metres" or "unknown"; `up` says where Z up came from: "gps", "gravity" (inferred from the cameras),
-    or "given" (the frame of a model that was brought in). `north` tells whether y is north (ENU).
+    "given" (the frame of a model that was brought in), or "control" (points that were measured). `north` tells whether
+    y is north (ENU). `scale_sigma` is the relative standard deviation of a scale that control points gave.
     """
 
     scale: Annotated[str, OneOf("metres", "unknown")]
-    up: Annotated[str, OneOf("gps", "gravity", "given", "measured")]
+    up: Annotated[str, OneOf("gps", "gravity", "given", "measured", "control")]
     north: bool = False
     origin: GeoPosition | None = None  # geodetic position of the frame's origin
     gps_residual: Annotated[float, Within(0, FARTHEST)] | None = None  # metres, median, of cameras from their GPS
     note: str = ""  # one sentence for the user
+    scale_sigma: Annotated[float, Within(0, FARTHEST)] | None = None
 
 
 _Pixels = Annotated[int, Within(1, 1_000_000)]

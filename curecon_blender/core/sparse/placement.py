@@ -74,7 +74,7 @@ def place(model: pycolmap.Reconstruction, photos: Mapping[str, Photo]) -> Placem
             f"{extent:.0f} m) and was not used",
         )
     # Move the origin from the cameras to the site's middle, then fit once more: ENU axes turn a little with the place.
-    middle = _middle_on_the_ground(_apply(fit.enu_from_model, _points(model)))
+    middle = middle_on_the_ground(transformed(fit.enu_from_model, _points(model)))
     latitude, longitude, altitude = enu_to_geodetic(middle[None], origin)[0].tolist()
     site = replace(origin, latitude=latitude, longitude=longitude, altitude=None if level else altitude)
     gps = geodetic_to_enu(enu_to_geodetic(gps, origin), replace(site, altitude=altitude))
@@ -112,7 +112,7 @@ def _frame(fit: GpsFit, site: GeoPosition, gravity: Gravity, count: int, reach: 
 
 def _lowered(site_from_model: pycolmap.Sim3d, model: pycolmap.Reconstruction) -> pycolmap.Sim3d:
     """With the ground of the site's middle at 0."""
-    ground = np.array([0.0, 0.0, _middle_on_the_ground(_apply(site_from_model, _points(model)))[2]])
+    ground = np.array([0.0, 0.0, middle_on_the_ground(transformed(site_from_model, _points(model)))[2]])
     return pycolmap.Sim3d(site_from_model.scale, site_from_model.rotation, site_from_model.translation - ground)
 
 
@@ -182,7 +182,7 @@ def _place_by_gravity(
 ) -> Placement:
     scale = TYPICAL_DISTANCE / max(_median_distance(model), 1e-9)
     rotation = rotations.between(gravity.up, _UP)
-    middle = _middle_on_the_ground(scale * _points(model) @ rotation.T)
+    middle = middle_on_the_ground(scale * _points(model) @ rotation.T)
     transform = pycolmap.Sim3d(scale, pycolmap.Rotation3d(rotation), -middle)
     note = f"{why}: scale and north are unknown (set them with a scale bar); Z up comes from {gravity.source}."
     return Placement(site_from_model=transform, frame=Frame(scale="unknown", up="gravity", note=note))
@@ -219,7 +219,7 @@ def align_to_gps(
         turn = pycolmap.Rotation3d(move.rotation.matrix() @ upright)
         middle = np.median(move.scale * centres @ upright.T[:, 2])
         fit = replace(fit, enu_from_model=pycolmap.Sim3d(move.scale, turn, move.translation - middle * _UP))
-    off = _apply(fit.enu_from_model, centres) - gps
+    off = transformed(fit.enu_from_model, centres) - gps
     off[~known, 2] = 0
     residuals = np.asarray(np.linalg.norm(off, axis=1))
     return replace(fit, residuals=residuals, median_residual=float(np.median(residuals)))
@@ -234,8 +234,8 @@ def _align(centres: np.ndarray, gps: np.ndarray, gravity: Gravity) -> GpsFit:
     """
     certain = gravity if gravity.sigma <= _LEVEL_SIGMA else None  # flat places could be fitted from below, too
     best, best_median = None, np.inf
-    for triplet in _triplets(len(centres)):
-        candidate = _similarity(centres[triplet], gps[triplet], certain)
+    for triplet in triplets(len(centres)):
+        candidate = similarity(centres[triplet], gps[triplet], certain)
         median = float(np.median(_distances(candidate, centres, gps)))
         if median < best_median:
             best, best_median = candidate, median
@@ -247,7 +247,7 @@ def _align(centres: np.ndarray, gps: np.ndarray, gravity: Gravity) -> GpsFit:
         chosen = residuals < 3 * sigma
         if chosen.sum() < 3:
             break
-        best = _similarity(centres[chosen], gps[chosen], gravity, max(sigma, 1.0))
+        best = similarity(centres[chosen], gps[chosen], gravity, max(sigma, 1.0))
         if (chosen == inliers).all():
             break
         inliers = chosen
@@ -257,7 +257,7 @@ def _align(centres: np.ndarray, gps: np.ndarray, gravity: Gravity) -> GpsFit:
     on_a_line = bool(spread[1] < LINE * spread[0] or spread[1] / np.sqrt(inliers.sum()) < max(1.0, 2 * noise))
     if on_a_line:
         along = _along(centres[inliers]), _along(gps[inliers])
-        best = _similarity(*along, gravity, max(1.4826 * noise, 1.0))
+        best = similarity(*along, gravity, max(1.4826 * noise, 1.0))
         residuals = _distances(best, centres, gps)
         scale_residual = float(np.median(_distances(best, *along)))
     return GpsFit(
@@ -273,14 +273,14 @@ def _along(positions: np.ndarray) -> np.ndarray:
     return np.asarray(mean + np.outer((positions - mean) @ axis, axis))
 
 
-def _triplets(count: int, most: int = 400) -> list[np.ndarray]:
+def triplets(count: int, most: int = 400) -> list[np.ndarray]:
     if count <= 10:
         return [np.array([i, j, k]) for i in range(count) for j in range(i) for k in range(j)]
     rng = np.random.default_rng(0)
     return [rng.choice(count, 3, replace=False) for _ in range(most)]
 
 
-def _similarity(
+def similarity(
     source: np.ndarray, target: np.ndarray, gravity: Gravity | None = None, sigma: float = 1.0
 ) -> pycolmap.Sim3d:
     """Least squares target_from_source; `sigma` is the target's noise in metres, set against gravity's."""
@@ -297,10 +297,10 @@ def _similarity(
 
 
 def _distances(transform: pycolmap.Sim3d, source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    return np.asarray(np.linalg.norm(_apply(transform, source) - target, axis=1))
+    return np.asarray(np.linalg.norm(transformed(transform, source) - target, axis=1))
 
 
-def _apply(transform: pycolmap.Sim3d, points: np.ndarray) -> np.ndarray:
+def transformed(transform: pycolmap.Sim3d, points: np.ndarray) -> np.ndarray:
     matrix = transform.matrix()
     return np.asarray(points @ matrix[:, :3].T + matrix[:, 3])
 
@@ -309,7 +309,7 @@ def _points(model: pycolmap.Reconstruction) -> np.ndarray:
     return np.array([point.xyz for point in model.points3D.values()])
 
 
-def _middle_on_the_ground(points: np.ndarray) -> np.ndarray:
+def middle_on_the_ground(points: np.ndarray) -> np.ndarray:
     """The middle (3,) of points (N,3) with Z up, at the height of the ground there."""
     middle = np.median(points, axis=0)
     distances = np.linalg.norm(points - middle, axis=1)

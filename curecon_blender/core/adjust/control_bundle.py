@@ -1,0 +1,80 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Control points in the bundle adjustment: as known points with their marks, and left out one by one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..base.records import GeoPosition
+from .bundle import Bundle, adjust
+from .control import frame_positions
+from .control_frame import MarkedPoint
+from .record import PointResidual
+
+LEAST_LEFT_OUT, MOST_LEFT_OUT = 6, 20  # control points of which each is left out once where none is a check point
+
+
+def with_control(
+    bundle: Bundle, names: Sequence[str], points: Sequence[MarkedPoint], origin: GeoPosition | None
+) -> Bundle:
+    """A bundle in the site frame, whose photos have these names, with the points and their marks at its end."""
+    if not points:
+        return bundle
+    number, count = {name: n for n, name in enumerate(names)}, len(bundle.points)
+    marks = [(p, mark) for p, point in enumerate(points) for mark in point.marks]
+    told = np.full(len(bundle.photo), np.nan) if bundle.observation_sigmas is None else bundle.observation_sigmas
+    given = [point.point for point in points]
+    return replace(
+        bundle, points=np.concatenate([bundle.points, [point.place for point in points]]),
+        photo=np.concatenate([bundle.photo, [number[mark.photo] for _, mark in marks]]),
+        point=np.concatenate([bundle.point, [count + p for p, _ in marks]]),
+        pixels=np.concatenate([bundle.pixels, [[mark.x, mark.y] for _, mark in marks]]),
+        observation_sigmas=np.concatenate([told, [mark.sigma for _, mark in marks]]),
+        control=np.arange(count, count + len(points)), control_positions=frame_positions(given, origin),
+        control_sigmas=np.array([point.sigmas for point in given]),
+    )
+
+
+def gps_in_frame(bundle: Bundle, *, local: bool) -> Bundle:
+    """The bundle with its photos' GPS moved by what all of it is off: in a frame of control points a receiver's common
+    error and another datum of heights say nothing. In a `local` frame it is turned about Z as well, and the gimbals'
+    attitudes with it."""
+    known = np.isfinite(bundle.position_sigmas)
+    plan, turn = known[:, :2].all(axis=1), np.eye(3)
+    if local and plan.sum() >= 2:
+        gps, here = (places[plan, :2] - np.median(places[plan, :2], axis=0)
+                     for places in (bundle.positions, bundle.centres))
+        angle = np.arctan2((gps[:, 0] * here[:, 1] - gps[:, 1] * here[:, 0]).sum(), (gps * here).sum())
+        turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    positions = bundle.positions @ turn.T
+    off = np.where(known, bundle.centres - positions, np.nan)
+    shift = np.array([np.nanmedian(axis) if np.isfinite(axis).any() else 0.0 for axis in off.T])
+    return replace(bundle, positions=positions + shift, attitudes=bundle.attitudes @ turn.T)
+
+
+def left_out(
+    adjusted: Bundle, points: Sequence[MarkedPoint], progress: Callable[[], None] = lambda: None
+) -> tuple[PointResidual, ...]:
+    """How far each control point of an adjusted bundle is off where it is left to its marks alone and all is adjusted
+    once more. Raises Cancelled."""
+    found = []
+    for which, (number, given) in enumerate(zip(adjusted.control, adjusted.control_positions, strict=True)):
+        kept = np.arange(len(adjusted.control)) != which
+        without = adjust(replace(
+            adjusted, control=adjusted.control[kept], control_positions=adjusted.control_positions[kept],
+            control_sigmas=adjusted.control_sigmas[kept],
+        ), progress)
+        off = without.points[number] - given
+        if points[which].point.place[2] is None:
+            off[2] = 0.0
+        pixels = np.linalg.norm(without.residuals()[without.point == number], axis=1)
+        east, north, up = off.tolist()
+        found.append(PointResidual(
+            name=points[which].point.name, off=(east, north, up), marks=len(pixels),
+            pixels=float(np.sqrt(np.mean(pixels**2))),
+        ))
+    return tuple(found)
