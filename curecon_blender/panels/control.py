@@ -4,11 +4,14 @@
 
 from __future__ import annotations
 
+from math import hypot
+
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..core.adjust.control import ControlPoint
 from ..core.adjust.coordinates import WGS84
+from ..core.adjust.record import rms
 from ..operators import running
 from ..scene import control
 from .layout import Panel, counted, paragraph
@@ -34,7 +37,11 @@ class CURECON_UL_control_points(bpy.types.UIList):
         right = row.row()
         right.alignment = "RIGHT"
         right.alert = marks == 1
-        right.label(text=counted(marks, "{} mark", "{} marks"), translate=False)
+        off = {one.name: one for kind in ("control", "check") for one in control.residuals(scene)[kind]}.get(item.name)
+        text = counted(marks, "{} mark", "{} marks")
+        if off is not None:
+            text = iface_("{:.3f} m, {}").format(hypot(*off.off), text)
+        right.label(text=text, translate=False)
 
 
 class CURECON_PT_control(Panel, bpy.types.Panel):
@@ -61,6 +68,7 @@ class CURECON_PT_control(Panel, bpy.types.Panel):
         if point is not None:
             self._draw_point(context, point, properties.points[properties.index])
         self._draw_marking(context, properties)
+        self._draw_accuracy(context)
 
     def _draw_point(self, context: bpy.types.Context, point: ControlPoint, item: bpy.types.PropertyGroup) -> None:
         self.layout.row(align=True).prop(item, "role", expand=True)
@@ -100,6 +108,19 @@ class CURECON_PT_control(Panel, bpy.types.Panel):
         if properties.changed and holding and not running.status.running:
             paragraph(layout, context, "Reconstruct again to use them: matching and mapping are kept.", icon="INFO")
             layout.operator("curecon.reconstruct", text="Reconstruct Again", icon="PLAY")
+
+
+    def _draw_accuracy(self, context: bpy.types.Context) -> None:
+        """Control, check points and points left out stand apart: they tell different things."""
+        found = control.residuals(context.scene)
+        for kind, icon, words in (
+            ("control", "PINNED", "{} control points: {:.3f} m off in plan, {:.3f} m in height (RMS), held by them"),
+            ("left_out", "PINNED", "{} left out one by one: {:.3f} m off in plan, {:.3f} m in height (RMS)"),
+            ("check", "CHECKMARK", "{} check points: {:.3f} m off in plan, {:.3f} m in height (RMS): so true is it"),
+        ):
+            if found[kind]:
+                plan, height = rms(found[kind])
+                paragraph(self.layout, context, iface_(words).format(len(found[kind]), plan, height), icon=icon)
 
 
 def coordinates(point: ControlPoint) -> str:

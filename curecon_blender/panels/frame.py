@@ -36,7 +36,7 @@ class CURECON_PT_frame(Panel, bpy.types.Panel):
             up = iface_("Level from {}").format(iface_(level.how))
         else:
             up = {"gps": "Level by GPS", "gravity": "Level as the cameras were held",
-                  "given": "Up as the model has it"}[known.up]
+                  "given": "Up as the model has it", "control": "Level by control points"}[known.up]
         paragraph(box, context, up, icon="EMPTY_SINGLE_ARROW")
         turn = adjustment.of(NORTH)
         if known.north:

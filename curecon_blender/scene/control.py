@@ -20,9 +20,11 @@ from mathutils import Matrix, Vector
 from ..core.adjust import control as points
 from ..core.adjust.control import CHECK, CONTROL, ControlSet, Mark
 from ..core.adjust.marking import best_first, seen, to_pixels, to_rays, triangulate
+from ..core.adjust.record import PointResidual
+from ..core.base.reading import build, parse_json
 from ..core.base.records import Lens
 from . import cameras
-from .frame import ADJUSTMENT_KEY, Part, parts_of, world_matrix
+from .frame import ADJUSTMENT_KEY, RESIDUALS_KEY, Part, parts_of, world_matrix
 from .points import positions
 from .workspace import clouds_of
 
@@ -291,6 +293,23 @@ def remove_mark(scene: bpy.types.Scene, name: str, photo: str) -> None:
 
 def remove_point(scene: bpy.types.Scene, name: str) -> None:
     put(scene, of(scene).without_point(name))
+
+
+def residuals(scene: bpy.types.Scene) -> dict[str, tuple[PointResidual, ...]]:
+    """What points were off when the cameras were last adjusted, by kind: "control", "check", "left_out"."""
+    found: dict[str, tuple[PointResidual, ...]] = {"control": (), "check": (), "left_out": ()}
+    for part in parts_of(scene):
+        for kind, told in _residuals(part.collection.get(RESIDUALS_KEY, "{}")).items():
+            found[kind] = (*found.get(kind, ()), *told)
+    return found
+
+
+@lru_cache(maxsize=8)
+def _residuals(text: str) -> dict[str, tuple[PointResidual, ...]]:
+    try:
+        return {kind: build(tuple[PointResidual, ...], told) for kind, told in parse_json(text).items()}
+    except (AttributeError, ValueError):
+        return {}
 
 
 def ready(scene: bpy.types.Scene) -> tuple[int, int]:

@@ -28,6 +28,7 @@ FOLDER_KEY = "curecon_sparse"  # on a part: the folder of its frame.json
 ADJUSTMENT_KEY = "curecon_adjustment"  # on a part: its Adjustment as JSON
 UNITS_KEY = "curecon_units"  # on a scene that holds our parts alone: its units are ours to tell
 ADJUSTED_KEY = "curecon_adjusted_scale"  # on a part and its surfaces: how much larger the adjustment made it
+RESIDUALS_KEY = "curecon_residuals"  # on a part: what control and check points are off, each kind apart, as JSON
 GPS_SIGMA_KEY = "curecon_gps_sigma"  # on a part: relative standard deviation of the scale that GPS gave it, if any
 _written: dict[str, str] = {}  # what this session last wrote, by folder
 
@@ -143,7 +144,8 @@ def set_up(collection: bpy.types.Collection, component: Component, workspace: Pa
     collection[FRAME_KEY] = json.dumps(asdict(component.frame))
     collection[FOLDER_KEY] = str(workspace / component.sparse)
     centres = np.array([view.centre for view in component.views]).reshape(-1, 3)
-    if (sigma := adjustments.gps_scale_sigma(component.frame, centres)) is not None:
+    sigma = component.frame.scale_sigma or adjustments.gps_scale_sigma(component.frame, centres)
+    if sigma is not None:
         collection[GPS_SIGMA_KEY] = sigma
     _put(collection, adjustment)
     for item in list(collection.all_objects):

@@ -4,9 +4,10 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable, Generator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
 
@@ -15,6 +16,7 @@ import numpy as np
 from mathutils import Vector
 
 from ..core.adjust.control import ControlSet, read_control
+from ..core.adjust.record import ACCURACY_FILE, Accuracy, read_accuracy
 from ..core.base.records import Component
 from ..core.cloud.edits import is_stale, read_removed
 from ..core.cloud.ply import read_cloud
@@ -69,6 +71,7 @@ class PartContent:
     cloud: points.CloudArrays | None
     removed: np.ndarray | None
     surface: surface.SurfaceArrays | None
+    accuracy: Accuracy | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,6 +106,7 @@ def read(folder: Path) -> Content:
             cloud=points.arrays(cloud) if cloud is not None else None,
             removed=removed[points.file_order(len(removed))] if removed is not None else None,
             surface=surface.arrays(*found) if found is not None else None,
+            accuracy=_accuracy(folder / component.sparse),
         ))
     bounds, about = _bounds(parts)
     return Content(
@@ -111,6 +115,11 @@ def read(folder: Path) -> Content:
         stale_edits=any(is_stale(folder / part.component.cloud) for part in parts), bounds=bounds, about=about,
         ground=next((backdrop.ground_colour(part.cloud) for part in parts if part.cloud is not None), backdrop.GREY),
     )
+
+
+def _accuracy(folder: Path) -> Accuracy | None:
+    """What a component's cameras rest on; None in a workspace from before it was told. Raises WorkspaceError."""
+    return read_accuracy(folder) if (folder / ACCURACY_FILE).is_file() else None
 
 
 def build(
@@ -223,6 +232,9 @@ def _build_part(
     if part.surface is not None:
         yield from surface.build(part.surface, f"Surface{number}", collection, pack=pack)
     frame.set_up(collection, component, folder, part.adjustment)
+    if part.accuracy is not None:
+        collection[frame.RESIDUALS_KEY] = json.dumps({
+            kind: [asdict(one) for one in getattr(part.accuracy, kind)] for kind in ("control", "check", "left_out")})
 
 
 def _place(scene: bpy.types.Scene, content: Content, top: bpy.types.Collection) -> Imported:

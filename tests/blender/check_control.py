@@ -6,6 +6,7 @@ folder."""
 from __future__ import annotations
 
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import bpy
@@ -15,6 +16,8 @@ import workspace_scene
 import curecon_blender
 from curecon_blender.core.adjust.control import CHECK, read_control
 from curecon_blender.core.adjust.marking import seen, to_pixels
+from curecon_blender.core.adjust.record import ACCURACY_FILE, Accuracy, PointResidual
+from curecon_blender.core.base.files import write_json
 from curecon_blender.core.base.geodesy import enu_to_geodetic
 from curecon_blender.core.base.records import GeoPosition
 from curecon_blender.core.views.record import read as read_views
@@ -117,6 +120,16 @@ def check_undo() -> None:
     assert read_control(SITE).marks_of("gcp2") and scene().curecon.control.points[1].role == CHECK
 
 
+def check_residuals() -> None:
+    """What points are off comes with the workspace, control apart from check points."""
+    off = [PointResidual(name=name, off=(0.01 * n, 0.0, -0.02), marks=3, pixels=0.4) for n, name in enumerate(PLACES)]
+    accuracy = Accuracy(adjusted=True, reprojection_error=0.5, control=tuple(off[:2]), check=tuple(off[2:]))
+    write_json(SITE / "sparse" / "0" / ACCURACY_FILE, asdict(accuracy))
+    bpy.ops.curecon.import_workspace(directory=str(SITE))
+    found = control.residuals(scene())
+    assert found == {"control": accuracy.control, "check": accuracy.check, "left_out": ()}
+
+
 def check_files() -> None:
     """What was marked leaves as ODM's file, and comes back with the workspace."""
     bpy.ops.curecon.export_control(filepath=str(FOLDER / "gcp_list.txt"))
@@ -145,6 +158,7 @@ try:
     check_import()
     check_marks()
     check_undo()
+    check_residuals()
     check_files()
 finally:
     curecon_blender.unregister()

@@ -46,14 +46,24 @@ def gps_in_frame(bundle: Bundle, *, local: bool) -> Bundle:
     known = np.isfinite(bundle.position_sigmas)
     plan, turn = known[:, :2].all(axis=1), np.eye(3)
     if local and plan.sum() >= 2:
-        gps, here = (places[plan, :2] - np.median(places[plan, :2], axis=0)
-                     for places in (bundle.positions, bundle.centres))
-        angle = np.arctan2((gps[:, 0] * here[:, 1] - gps[:, 1] * here[:, 0]).sum(), (gps * here).sum())
-        turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+        turn[:2, :2] = _turn_in_plan(bundle.positions[plan, :2], bundle.centres[plan, :2])
     positions = bundle.positions @ turn.T
     off = np.where(known, bundle.centres - positions, np.nan)
     shift = np.array([np.nanmedian(axis) if np.isfinite(axis).any() else 0.0 for axis in off.T])
     return replace(bundle, positions=positions + shift, attitudes=bundle.attitudes @ turn.T)
+
+
+def _turn_in_plan(source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """The rotation (2,2) that brings places (N,2) to others; those that lie far off do not count."""
+    turn, counted = np.eye(2), np.ones(len(source), bool)
+    for _ in range(5):
+        first, second = (places - places[counted].mean(axis=0) for places in (source, target))
+        cross = (first[counted, 0] * second[counted, 1] - first[counted, 1] * second[counted, 0]).sum()
+        angle = np.arctan2(cross, (first[counted] * second[counted]).sum())
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        off = np.linalg.norm(first @ turn.T - second, axis=1)
+        counted = off <= max(3 * float(np.median(off)), 1e-9)
+    return turn
 
 
 def left_out(

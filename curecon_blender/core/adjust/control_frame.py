@@ -28,6 +28,7 @@ ENOUGH = 3  # points with two marks each that place a site
 WORST_FIT = 0.2  # median residual over the points' spread, beyond which points and marks cannot belong together
 OUTLIER = 5.0  # times the median residual, and times its own sigma, from where on a point is named
 FEET = 0.3048
+STEEPEST = 60.0  # degrees between up by control and up by GPS or gravity, beyond which one of them is no up
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,11 +149,19 @@ def _least_median(source: np.ndarray, target: np.ndarray) -> tuple[pycolmap.Sim3
     return best, least
 
 
-def scale_doubt(placement: Placement, by_gps: Placement) -> str:
-    """A sentence where control and GPS contradict each other on the scale."""
-    if by_gps.frame.gps_residual is None:
+def compared(placement: Placement, otherwise: Placement) -> str:
+    """A sentence where control contradicts the GPS on the scale; `otherwise` is the placement without control. Raises
+    ControlError where it turns the site over: on flat ground, exchanged axes do no more than that."""
+    ups = [one.site_from_model.rotation.matrix()[2] for one in (placement, otherwise)]
+    if float(ups[0] @ ups[1]) < np.cos(np.radians(STEEPEST)):
+        raise ControlError(
+            "The control points turn the site over.",
+            remedy="East and north (x and y) look exchanged: exchange the two columns and import again. Or some marks "
+            "are on other points.",
+        )
+    if otherwise.frame.gps_residual is None:
         return ""
-    ratio = placement.site_from_model.scale / by_gps.site_from_model.scale
+    ratio = placement.site_from_model.scale / otherwise.site_from_model.scale
     if 0.9 < ratio < 1.1:
         return ""
     feet = " They look like feet: convert them to metres." if abs(ratio * FEET - 1) < 0.05 else ""

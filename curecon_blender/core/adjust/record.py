@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -50,6 +52,14 @@ class Accuracy:
     check: tuple[PointResidual, ...] = ()
     left_out: tuple[PointResidual, ...] = ()
     checked: str = ""
+
+
+def rms(found: Sequence[PointResidual]) -> tuple[float, float]:
+    """The root-mean-square of what points are off in plan and in height, metres; none are off by nothing."""
+    if not found:
+        return 0.0, 0.0
+    plan = sum(one.off[0] ** 2 + one.off[1] ** 2 for one in found) / len(found)
+    return math.sqrt(plan), math.sqrt(sum(one.off[2] ** 2 for one in found) / len(found))
 
 
 def read_accuracy(folder: Path) -> Accuracy:

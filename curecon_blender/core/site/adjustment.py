@@ -189,6 +189,8 @@ def scale_source(frame: Frame, adjustment: Adjustment) -> str:
         return describe(step)
     if frame.scale != "metres":
         return ""
+    if frame.up == "control":
+        return "control points"
     return "the photos' GPS" if frame.gps_residual is not None else "the given model"
 
 
