@@ -52,7 +52,7 @@ MARKERS = {
     "macos-arm64": {"sys_platform": "darwin", "platform_system": "Darwin", "platform_machine": "arm64",
                     "os_name": "posix"},
 }
-OPTIONAL = {"distributed"}  # requirements-dask.txt: a user's own Python brings it
+OPTIONAL = {"distributed", "pyproj"}  # a user's own Python brings them: requirements-dask.txt; the grids of countries
 # Blender brings its own, in its own process too: a wheel of it would come first on Blender's path and replace it.
 BLENDER_BRINGS = ("numpy",)
 # PyPI's torch for Linux is for NVIDIA cards, with three gigabytes of CUDA libraries. PyTorch's own index has the same

@@ -15,13 +15,15 @@ import pytest
 from conftest import ROOT
 
 PACKAGE = "curecon_blender"
-FLOW = ("base", "photos", "sparse", "adjust", "views", "network", "depth", "cloud", "surface", "texture")
+FLOW = ("base", "photos", "sparse", "adjust", "views", "network", "depth", "cloud", "surface", "texture",
+        "report")
 MAY_IMPORT = {room: FLOW[: place + 1] for place, room in enumerate(FLOW)}
 MAY_IMPORT |= {room: ("base", room) for room in ("site", "present")}
 MAY_IMPORT |= {"run": (*FLOW, "site", "run")}
 MOST_LINES, MOST_FUNCTION_LINES = 400, 60
 # In Blender's own process there are Blender's Python and NumPy; these are the worker's.
-WORKER_ONLY = ("torch", "cv2", "pycolmap", "scipy", "PIL", "psutil", "numba", "xatlas", "safetensors", "distributed")
+WORKER_ONLY = ("torch", "cv2", "pycolmap", "scipy", "PIL", "psutil", "numba", "xatlas", "safetensors", "distributed",
+               "reportlab")
 
 
 @cache

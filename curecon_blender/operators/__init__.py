@@ -7,6 +7,7 @@ from __future__ import annotations
 import bpy
 
 from . import (
+    accuracy_report,
     build_surface,
     check_photos,
     choose_photos,
@@ -34,8 +35,8 @@ from . import (
 
 CLASSES = (
     *choose_photos.CLASSES, *check_photos.CLASSES, *reconstruct.CLASSES, *presets.CLASSES, *import_workspace.CLASSES,
-    *build_surface.CLASSES, *export_surface.CLASSES, *present_elevations.CLASSES, *present_moves.CLASSES,
-    *present_renders.CLASSES, *present_photos.CLASSES,
+    *build_surface.CLASSES, *export_surface.CLASSES, *accuracy_report.CLASSES,
+    *present_elevations.CLASSES, *present_moves.CLASSES, *present_renders.CLASSES, *present_photos.CLASSES,
     *present_sun.CLASSES,
     *frame_scale.CLASSES, *frame_level.CLASSES, *frame_north.CLASSES, *frame_ground.CLASSES, *frame_reset.CLASSES,
     *frame_position.CLASSES, *measure.CLASSES,

@@ -50,6 +50,7 @@ class CURECON_PT_result(Panel, bpy.types.Panel):
             column.prop(properties, "point_size", slider=True)
         if clouds or surfaces_of(context.scene):
             layout.operator("curecon.frame_cloud", icon="VIEWZOOM")
+            layout.operator("curecon.accuracy_report", icon="TEXT")
         row = layout.row(align=True)
         if clouds:
             row.prop(properties, "show_cloud", toggle=True, icon="POINTCLOUD_DATA")

@@ -40,7 +40,9 @@ PRESETS = {
 
 
 # The worker's commands.
-RUN, SURFACE, CHECK, SELF_CHECK, CONTROL = "reconstruct", "surface", "check", "self-check", "control"
+RUN, SURFACE, CHECK, REPORT = "reconstruct", "surface", "check", "report"
+CONTROL, SELF_CHECK = "control", "self-check"
+
 
 
 # Coded targets as OpenCV's aruco module calls them, the most usual first.

@@ -14,6 +14,7 @@ from ..base.options import (
     CHECK,
     CONTROL,
     DICTIONARIES,
+    REPORT,
     RUN,
     SELF_CHECK,
     STAGES,
@@ -75,6 +76,9 @@ def parser() -> argparse.ArgumentParser:
                          help="mark the points whose names end in the number of a coded target (ArUco)")
     control.add_argument("--dictionary", choices=DICTIONARIES, default=DICTIONARIES[0], help="which targets they are")
     control.add_argument("--export", type=Path, metavar="FILE", help="write points and marks as ODM's gcp_list.txt")
+    report = command(REPORT, "clearness, accuracy, integrity and authenticity of a workspace, as PDF, HTML and JSON")
+    report.add_argument("workspace", type=Path)
+    report.add_argument("--by", default="", help="who made the record")
     command(SELF_CHECK, "reconstruct synthetic views, and say what this computer has")
     return main
 

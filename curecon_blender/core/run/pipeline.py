@@ -21,6 +21,7 @@ from ..photos.record import read_photos
 from ..views import record as views_record
 from . import cost
 from .peak_memory import PeakMemory
+from .settings import keep_settings
 from .stages import STAGES, Job, Stage
 from .summary import summarise
 from .workspace import StageRecord, Workspace
@@ -48,6 +49,8 @@ def reconstruct(options: Options, reporter: Reporter) -> dict[str, Any]:
         job = Job(options, workspace, reporter)
         if options.photos is None:
             _begin_from_cloud(job)
+        else:
+            keep_settings(options)
         for stage in stages:
             reporter.stage(stage.name)
             _bring_about(stage, job)

@@ -89,6 +89,10 @@ def _run(options: argparse.Namespace, reporter: Reporter) -> dict[str, object]:
                            options.dictionary, options.export, reporter)
     if options.command == "check":
         return pipeline.check(options_of(options), options.thumbnails, reporter)
+    if options.command == "report":
+        from .report import report
+
+        return report(options.workspace, options.by, reporter)
     return pipeline.reconstruct(options_of(options), reporter)
 
 
@@ -191,6 +195,8 @@ def _duration(seconds: float) -> str:
 
 def _in_words(summary: dict[str, object]) -> str:
     """The few figures that a person wants at the end."""
+    if "report" in summary:
+        return "\n".join(dict(summary["report"]).values())  # type: ignore[call-overload]
     if "points" in summary:
         clouds = summary["paths"]["clouds"] if isinstance(summary["paths"], dict) else []
         where = f"\n{', '.join(clouds)}" if clouds else ""
