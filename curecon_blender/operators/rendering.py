@@ -126,7 +126,8 @@ class RenderSeries:
 
     def _go_on(self, context: bpy.types.Context) -> set[str]:
         """Start the next render in a window, or take in the files of all."""
-        stage = render_scene.find()  # Python holds no scene over an undo
+        if (stage := render_scene.find()) is None:  # Python holds no scene over an undo
+            raise CuReconError("The scene that the sheets are rendered in was deleted.", remedy="Start it again.")
         if progress.done > self._checked:
             render_scene.check(stage, self._queue[self._checked])
             self._checked += 1
