@@ -11,9 +11,11 @@ import numpy as np
 import pycolmap
 import pytest
 
+from curecon_blender.core.adjust.adjust import _warn_of_gps
 from curecon_blender.core.base.errors import WorkspaceError
 from curecon_blender.core.base.files import write_json
 from curecon_blender.core.base.geodesy import enu_to_geodetic, geodetic_to_enu, gps_enu
+from curecon_blender.core.base.messages import Reporter
 from curecon_blender.core.base.records import Frame, GeoPosition, Gimbal, Photo
 from curecon_blender.core.base.rotations import from_gimbal
 from curecon_blender.core.sparse import record
@@ -269,3 +271,22 @@ def test_longitudes_on_both_sides_of_180_degrees(site: GeoPosition) -> None:
     assert placement.frame.origin is not None
     assert abs(placement.frame.origin.longitude) == pytest.approx(180, abs=0.001)
     assert np.ptp(placed_centres(model, placement), axis=0) == pytest.approx(np.ptp(centres, axis=0), abs=2.0)
+
+
+@pytest.mark.parametrize(("nearer", "words"), [(20.0, "too near to the site"), (-20.0, "too far from the site")])
+def test_photos_off_along_their_line_of_sight_have_a_wrong_camera(nearer: float, words: str) -> None:
+    centres, rotations = two_orbits()
+    zoomed = [1, 3, 5]
+    found = centres.copy()
+    for i in zoomed:
+        found[i] += nearer * rotations[i][2]
+    photos = make_photos(centres, noise=0.2)
+    stray = photos["20.jpg"].gps  # and one whose GPS is wrong
+    assert stray is not None
+    photos["20.jpg"] = replace(photos["20.jpg"], gps=replace(stray, latitude=stray.latitude + 0.002))
+    reporter = Reporter()
+    _warn_of_gps(place(make_model(found, rotations), photos), len(photos), 0, reporter)
+    camera, gps = reporter.warnings
+    assert words in camera and "by 20 m" in camera and "focal length" in camera
+    assert all(f"{i + 1:02d}.jpg" in camera and f"{i + 1:02d}.jpg" not in gps for i in zoomed)
+    assert "20.jpg (22" in gps and "Their GPS is wrong" in gps

@@ -292,6 +292,37 @@ class TestCamerasAndBlur:
         portrait = next(photo for photo in photo_set.photos if photo.name == "portrait.jpg")
         assert (portrait.width, portrait.height) == (HEIGHT, WIDTH)
 
+    @pytest.mark.parametrize(("tags", "times"), [
+        ({0xA405: 48, 0xA404: 2.0}, 2.0),  # the equivalent has the zoom in it
+        ({0xA404: 2.0}, 2.0),  # and here it has not
+        ({0xA404: 3.5, 0xA405: None, 0xA20E: 320 / 13.2, 0xA210: 4}, 3.5 * 8.8 / 13.2 / (24 / 34.61)),
+        ({0xA405: 48}, 2.0), ({0xA434: "50 mm F1.8", 0xA405: 48}, 2.0), ({0xA434: "24 mm F2"}, 1.0),
+        ({0x920A: 8.9, 0xA405: 24}, 1.0),  # a step of the focus
+    ])
+    def test_each_photo_has_its_own_lens_and_zoom(self, folder: Path, tags: dict[int, object], times: float) -> None:
+        plain = check(folder)[0].photos[0]
+        for number in (5, 6):
+            save(folder / f"DJI_{number}.JPG", number, exif=exif(camera=tags))
+        photo_set, _ = check(folder)
+        zoomed = [photo for photo in photo_set.photos if photo.path.name in ("DJI_5.JPG", "DJI_6.JPG")]
+        assert plain.focal_px is not None
+        assert [photo.focal_px for photo in zoomed] == [pytest.approx(times * plain.focal_px, rel=1e-3)] * 2
+        assert len({photo.camera for photo in zoomed}) == 1 and zoomed[0].camera != plain.camera
+        assert describe(photo_set)["cameras"] == 2
+
+    @pytest.mark.parametrize("ratio", [0.0, 1.0])
+    def test_no_zoom_is_none(self, folder: Path, ratio: float) -> None:
+        save(folder / "DJI_5.JPG", 5, exif=exif(camera={0xA404: ratio}))
+        assert describe(check(folder)[0])["cameras"] == 1
+
+    def test_altitudes_that_are_all_the_same_are_not_used(self, tmp_path: Path) -> None:
+        for number in range(4):
+            gps = {1: "N", 2: (24.0, 39.0, float(number)), 3: "E", 4: (117.0, 3.0, 7.0), 5: b"\x00", 6: 520.25}
+            save(tmp_path / f"DJI_{number}.JPG", number, exif=exif(gps=gps))
+        photo_set, warnings = check(tmp_path)
+        assert all(photo.gps is not None and photo.gps.altitude is None for photo in photo_set.photos)
+        assert any("same GPS altitude (520.2 m)" in warning for warning in warnings)
+
     def test_blurred_photos_are_named_and_used(self, tmp_path: Path) -> None:
         for number in range(8):
             picture = scene(number, 800, 600)

@@ -21,7 +21,7 @@ from curecon_blender.core.base.messages import Message, Progress, Reporter
 from curecon_blender.core.base.options import Options
 from curecon_blender.core.base.records import Frame, GeoPosition, Photo, PhotoSet
 from curecon_blender.core.sparse import find_cameras
-from curecon_blender.core.sparse.features import FeatureSettings, open_database
+from curecon_blender.core.sparse.features import FeatureSettings, extract_features, open_database
 from curecon_blender.core.sparse.record import read_frame
 from curecon_blender.core.views.undistortion import undistort
 
@@ -155,6 +155,21 @@ def test_keypoints_stand_in_the_photo_s_own_pixels(site: Site) -> None:
     assert max(point.color.max() for point in model.points3D.values()) > 100  # sparse points carry the photos' colours
 
 
+def test_photos_of_one_camera_with_other_focal_lengths_are_cameras_of_their_own(site: Site, tmp_path: Path) -> None:
+    photos = [replace(photo, focal_px=2 * FOCAL if i % 3 == 1 else FOCAL)
+              for i, photo in enumerate(site.scene.photo_set.photos)]
+    photos[6] = replace(photos[6], focal_px=None)
+    settings = FeatureSettings(image_size=240, max_features=100)
+    with open_database(tmp_path / "features.db", tuple(photos), settings) as database:
+        extract_features(database, tuple(photos), settings, lambda: None)
+        cameras = {image.name: database.read_camera(image.camera_id) for image in database.read_all_images()}
+    for photo in photos:
+        camera = cameras[photo.name]
+        assert camera.mean_focal_length() == pytest.approx(photo.focal_px or 1.2 * WIDTH)
+        assert camera.has_prior_focal_length == (photo.focal_px is not None)
+    assert len({camera.camera_id for camera in cameras.values()}) == 3
+
+
 def test_without_gps_z_is_up_and_the_scale_is_said_to_be_unknown(site: Site, tmp_path: Path) -> None:
     shutil.copytree(site.workspace / "sparse", tmp_path / "sparse")  # features are the same: only the mapper runs
     photos = tuple(replace(photo, gps=None) for photo in site.scene.photo_set.photos)
@@ -179,7 +194,8 @@ def test_a_model_that_contradicts_its_gps_is_warned_of_with_figures(site: Site, 
     reporter = make_reporter()
     frames = reconstruct(PhotoSet(photos=photos), make_options(tmp_path), tmp_path, reporter)
     assert frames[0].gps_residual is not None and frames[0].gps_residual > 5
-    assert any(f"{frames[0].gps_residual:.1f} m (median)" in w and "bent" in w for w in reporter.warnings)
+    assert (frames[0].scale, frames[0].north) == ("unknown", True)
+    assert any(f"{frames[0].gps_residual:.1f} m off" in w and "bent" in w for w in reporter.warnings)
 
 
 def test_separate_sites_become_components_and_a_cancelled_job_goes_on(tmp_path: Path) -> None:

@@ -81,7 +81,7 @@ def export_surfaces(
             os.replace(file, path.parent / file.name)
     return Exported(
         files=tuple(path.parent / file.name for file in files), note=note,
-        has_position=any(record.origin is not None for record in about.values()),
+        has_position=any(record.origin or record.shift for record in about.values()),
     )
 
 
@@ -147,13 +147,14 @@ def _file_of(image: bpy.types.Image) -> Path:
 def _provenance(item: bpy.types.Object, choices: Choices) -> Provenance:
     """What the importer left on the object."""
     origin = None
+    part = _part_of(item)
     if choices.position and "origin_latitude" in item:
         try:
             told = {field.name: item.get(f"origin_{field.name}") for field in fields(GeoPosition)}
             if told["altitude_datum"] is None:  # a surface imported before datums were kept
                 del told["altitude_datum"]
             origin = build(GeoPosition, told)
-            if (part := _part_of(item)) is not None:
+            if part is not None:
                 origin = placing.world_origin(part)
         except ValueError as error:
             raise WorkspaceError(
@@ -162,6 +163,7 @@ def _provenance(item: bpy.types.Object, choices: Choices) -> Provenance:
             ) from error
     return Provenance(
         scale=item.get("scale", "unknown"), north=bool(item.get("north", False)), origin=origin,
+        shift=placing.world_shift(part) if choices.position and part is not None else None,
         licence=choices.licence, credit=choices.credit,
     )
 

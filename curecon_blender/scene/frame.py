@@ -24,6 +24,7 @@ from . import points, surface
 from .writable import require
 
 FRAME_KEY = "curecon_frame"  # on a part: its Frame as it was reconstructed, as JSON
+SHIFT_KEY = "shift"  # on a part and its surfaces: what to add to come back to a given model's coordinates
 FOLDER_KEY = "curecon_sparse"  # on a part: the folder of its frame.json
 ADJUSTMENT_KEY = "curecon_adjustment"  # on a part: its Adjustment as JSON
 UNITS_KEY = "curecon_units"  # on a scene that holds our parts alone: its units are ours to tell
@@ -198,11 +199,12 @@ def forget_position() -> None:
                 holder.curecon.control.property_unset(name)
         elif FRAME_KEY in holder:
             part = Part(holder)
-            holder[FRAME_KEY] = json.dumps(asdict(replace(part.reconstructed, origin=None)))
+            holder[FRAME_KEY] = json.dumps(asdict(replace(part.reconstructed, origin=None, shift=None)))
             _put(holder, part.adjustment)
     for holder in _position_holders():  # a surface that was taken out of its part
         for field in fields(GeoPosition):
             holder.pop(f"origin_{field.name}", None)
+        holder.pop(SHIFT_KEY, None)
 
 
 def has_position() -> bool:
@@ -214,8 +216,8 @@ def _position_holders() -> list[bpy.types.ID]:
     scenes = [scene for scene in bpy.data.scenes if scene.curecon.control.points
               or any(scene.curecon.present.is_property_set(name) for name in ("latitude", "longitude"))]
     parts = [item for item in bpy.data.collections
-             if FRAME_KEY in item and Part(item).reconstructed.origin is not None]
-    return [*scenes, *parts, *(item for item in bpy.data.objects if "origin_latitude" in item)]
+             if FRAME_KEY in item and (Part(item).reconstructed.origin or Part(item).reconstructed.shift)]
+    return [*scenes, *parts, *(item for item in bpy.data.objects if "origin_latitude" in item or SHIFT_KEY in item)]
 
 
 def claim_units(scene: bpy.types.Scene) -> None:
@@ -258,7 +260,8 @@ def _put(collection: bpy.types.Collection, adjustment: Adjustment) -> None:
     part = Part(collection)
     frame = part.frame
     known = {"scale": frame.scale, "scale_source": part.scale_source or None, "up": frame.up, "north": frame.north,
-             "note": frame.note or None, "gps_residual": frame.gps_residual, ADJUSTED_KEY: adjustment.scale}
+             "note": frame.note or None, "gps_residual": frame.gps_residual, ADJUSTED_KEY: adjustment.scale,
+             SHIFT_KEY: frame.shift}
     for field in fields(GeoPosition):
         known[f"origin_{field.name}"] = None if frame.origin is None else getattr(frame.origin, field.name)
     for holder in (collection, *filter(surface.is_surface, collection.all_objects)):

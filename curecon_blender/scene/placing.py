@@ -57,7 +57,18 @@ def world_origin(part: Part) -> GeoPosition | None:
         return origin
     latitude, longitude, altitude = geodesy.enu_to_geodetic(place[None], origin)[0].tolist()
     return GeoPosition(
-        latitude=latitude, longitude=longitude, altitude=altitude, altitude_datum=origin.altitude_datum)
+        latitude=latitude, longitude=longitude, altitude=None if origin.altitude is None else altitude,
+        altitude_datum=origin.altitude_datum)
+
+
+def world_shift(part: Part) -> tuple[float, float, float] | None:
+    """What to add to a part as it stands in the scene to come back to a given model's coordinates; None where that was
+    never far off or earth-centred (its origin then tells all), or the part is turned or scaled."""
+    shift, moved = part.frame.shift, np.array(part.moved)
+    if shift is None or part.frame.origin is not None or np.abs(moved[:3, :3] - np.eye(3)).max() > 1e-6:
+        return None
+    x, y, z = (np.array(shift) - moved[:3, 3]).tolist()
+    return x, y, z
 
 
 def _from(first: Part, part: Part) -> np.ndarray:

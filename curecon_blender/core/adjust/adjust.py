@@ -27,6 +27,8 @@ from .priors import calibrations, gps_positions
 from .record import ACCURACY_FILE, Accuracy, PhotoResidual
 
 CONTRADICTS = 15.0, 10.0  # metres, times the median: a photo farther than both from its GPS is named
+# Photos whose camera is wrong and not their GPS: that share of the distance lies along their line of sight, in so many.
+ALONG, FEWEST_ALONG = 0.9, 2
 MOST_PHOTOS = 1500  # the reduced system is a full matrix: 0.7 GB, and some copies of it
 # Beyond these a calibration is not this camera's: times the mapper's reprojection error, sigmas of the focal length.
 WORSE, CONTRADICTED = 2.0, 5.0
@@ -136,10 +138,20 @@ def _warn_of_gps(placement: Placement, photos: int, index: int, reporter: Report
             f"{max(placement.gps_residuals.values()):.1f} m from the GPS of their {photos} photos: the model may be "
             "bent, or the GPS poor. Do not trust measurements; photos from more heights and directions help."
         )
-    far = [
-        f"{name} ({distance:.0f} m)" for name, distance in sorted(placement.gps_residuals.items(), key=lambda x: -x[1])
+    distances = {
+        name: distance for name, distance in sorted(placement.gps_residuals.items(), key=lambda x: -x[1])
         if distance > CONTRADICTS[0] and distance > CONTRADICTS[1] * residual
-    ]
+    }
+    for way, sign in (("near to", 1), ("far from", -1)):
+        along = [name for name, distance in distances.items() if sign * placement.along[name] > ALONG * distance]
+        if len(along) >= FEWEST_ALONG:
+            by = np.median([distances.pop(name) for name in along])
+            reporter.warning(
+                f"{len(along)} of {photos} photos{part} stand too {way} the site by {by:.0f} m, along their line of "
+                f"sight: {listed(along)}. Their focal length is not what their metadata say (zoom, another lens, a "
+                "crop); their GPS may be right. Leave them out, or use them without the other photos."
+            )
+    far = [f"{name} ({distance:.0f} m)" for name, distance in distances.items()]
     if far:
         reporter.warning(
             f"{len(far)} of {photos} photos lie far from their GPS, against a median of {residual:.1f} m: "

@@ -34,14 +34,26 @@ def geodetic_to_enu(positions: np.ndarray, origin: GeoPosition) -> np.ndarray:
     Altitudes count from the origin's own datum: over a site the geoid is as good as parallel to the ellipsoid. Those of
     an origin without one count from 0.
     """
-    reference = np.array([[origin.latitude, origin.longitude, origin.altitude or 0.0]])
-    return (_ecef(positions) - _ecef(reference)) @ _enu_from_ecef(origin).T
+    rotation, centre = enu_from_ecef(origin)
+    return (_ecef(positions) - centre) @ rotation.T
 
 
 def enu_to_geodetic(enu: np.ndarray, origin: GeoPosition) -> np.ndarray:
     """The inverse of `geodetic_to_enu`: (N,3) metres -> (N,3) degrees, degrees, metres."""
+    rotation, centre = enu_from_ecef(origin)
+    return ecef_to_geodetic(enu @ rotation + centre)
+
+
+def enu_from_ecef(origin: GeoPosition) -> tuple[np.ndarray, np.ndarray]:
+    """`rotation` (3,3) and `centre` (3,) such that places (N,3) in earth-centred metres are `(places - centre) @
+    rotation.T` in metres east, north and up of `origin`."""
     reference = np.array([[origin.latitude, origin.longitude, origin.altitude or 0.0]])
-    x, y, z = (enu @ _enu_from_ecef(origin) + _ecef(reference)).T
+    return _enu_from_ecef(origin), _ecef(reference)[0]
+
+
+def ecef_to_geodetic(places: np.ndarray) -> np.ndarray:
+    """(N,3) earth-centred metres -> (N,3) latitude, longitude in degrees, metres above the ellipsoid, on WGS84."""
+    x, y, z = places.T
     across = np.hypot(x, y)
     latitude = np.arctan2(z, across * (1 - _WGS84_E2))
     for _ in range(6):  # converges by a factor of about 300 a step: nanometres after four

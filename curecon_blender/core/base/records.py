@@ -17,6 +17,7 @@ ELLIPSOID, SEA_LEVEL, UNKNOWN = "ellipsoid", "sea level", "unknown"
 
 
 _SIGMA = Annotated[float, Within(1e-4, 1000)]
+_Coordinate = Annotated[float, Within(-FARTHEST, FARTHEST)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,7 +106,9 @@ class Frame:
 
     `scale` is "metres" or "unknown"; `up` says where Z up came from: "gps", "gravity" (inferred from the cameras),
     "given" (the frame of a model that was brought in), or "control" (points that were measured). `north` tells whether
-    y is north (ENU). `scale_sigma` is the relative standard deviation of a scale that control points gave.
+    y is north (ENU). `scale_sigma` is the relative standard deviation of a scale that control points gave. `shift` is
+    where the frame's origin lies in a given model's coordinates, whose axes are the frame's: what to add to come back
+    to them; earth-centred ones are turned as well, to east, north and up of `origin`.
     """
 
     scale: Annotated[str, OneOf("metres", "unknown")]
@@ -113,6 +116,7 @@ class Frame:
     north: bool = False
     origin: GeoPosition | None = None  # geodetic position of the frame's origin
     gps_residual: Annotated[float, Within(0, FARTHEST)] | None = None  # metres, median, of cameras from their GPS
+    shift: tuple[_Coordinate, _Coordinate, _Coordinate] | None = None
     note: str = ""  # one sentence for the user
     scale_sigma: Annotated[float, Within(0, FARTHEST)] | None = None
 

@@ -171,9 +171,17 @@ def adjusted_frame(frame: Frame, adjustment: Adjustment) -> Frame:
         origin = replace(origin, altitude=origin.altitude - adjustment.lift)
     return replace(
         frame, scale=frame.scale if scale is None else "metres", up=frame.up if level is None else "measured",
-        north=frame.north if north is None else north.valid, origin=origin,
+        north=frame.north if north is None else north.valid, origin=origin, shift=_shift(frame, adjustment),
         note=" ".join([*said, f"Reconstructed: {frame.note}"]),
     )
+
+
+def _shift(frame: Frame, adjustment: Adjustment) -> tuple[float, float, float] | None:
+    """The way back to given coordinates, which a scaled or turned frame does not have."""
+    if frame.shift is None or adjustment.scale != 1 or not np.array_equal(adjustment.rotation, np.eye(3)):
+        return None
+    x, y, z = frame.shift
+    return x, y, z - adjustment.lift
 
 
 def describe(step: Measured) -> str:

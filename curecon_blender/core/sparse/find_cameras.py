@@ -19,8 +19,9 @@ from ..base.messages import Reporter
 from ..base.options import Options
 from ..base.records import Photo, PhotoSet
 from .features import FeatureSettings, extract_features, image_ids, missing_features, open_database
+from .given import fit_to_photos, given_frame
 from .matches import match_pairs, unmatched
-from .models import MAPPED, find_models, fit_to_photos, given_frame, listed, read_model, write_components
+from .models import MAPPED, find_models, listed, read_model, write_components
 from .pairs import Pair, expected_pairs, metadata_pairs, near_pairs, needs_retrieval, similar_pairs
 from .parallel import threads
 from .record import FRAME_FILE
@@ -69,7 +70,8 @@ def reconstruct(photo_set: PhotoSet, options: Options, workspace: Path, reporter
 def import_model(
     model_dir: Path, photo_set: PhotoSet, options: Options, workspace: Path, reporter: Reporter
 ) -> None:
-    """Take a COLMAP model in place of the mapper's: cameras exactly as they are, with the record of their frame.
+    """Take a COLMAP model in place of the mapper's: cameras exactly as they are, with the record of their frame,
+    which is moved near its origin where that is far off.
 
     A model without points gets points triangulated from its cameras, since source views and depth ranges need them.
     Raises SparseError when it is malformed or does not fit the photos.
@@ -78,9 +80,10 @@ def import_model(
     components = []
     for folder in find_models(model_dir):
         model = fit_to_photos(read_model(folder), photo_set, folder, reporter)
+        frame = given_frame(model, {photo.name: photo for photo in photo_set.photos}, folder)
         if model.num_points3D() == 0:
             model = _triangulate(model, photo_set, options, workspace, reporter)
-        components.append((model, {FRAME_FILE: given_frame(folder)}))
+        components.append((model, {FRAME_FILE: frame}))
     unused = {photo.name for photo in photo_set.photos}
     for model, _ in components:
         unused -= {model.image(i).name for i in model.reg_image_ids()}

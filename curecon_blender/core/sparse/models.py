@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""COLMAP models on disk: finding, reading and checking a given one, fitting it to the photos, writing ours."""
+"""COLMAP models on disk: finding, reading and checking a given one, writing ours."""
 
 from __future__ import annotations
 
+import codecs
 import os
 import shutil
 import tempfile
@@ -17,17 +18,14 @@ import pycolmap
 from ..base.errors import SparseError, WorkspaceError
 from ..base.files import disk_errors, partial_path, write_json
 from ..base.images import MAX_PIXELS
-from ..base.messages import Reporter
 from ..base.reading import FARTHEST
-from ..base.records import Frame, Lens, Photo, PhotoSet
-from ..photos.record import photo_finder
+from ..base.records import Lens
 from .model_files import check_binary
-from .record import FRAME_FILE, read_frame
 
 # What pycolmap raises on malformed files.
 _READ_ERRORS = (ValueError, LookupError, RuntimeError, MemoryError, TypeError, ArithmeticError, OSError)
 MAPPED, ADJUSTED = "sparse/mapped", "sparse"  # places of components in a workspace: as mapped, in the site frame
-SIZE_TOLERANCE = 0.01  # relative difference of aspect ratios that rounding to whole pixels can make
+_MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 
 
 def find_models(folder: Path) -> list[Path]:
@@ -58,14 +56,7 @@ def read_model(folder: Path) -> pycolmap.Reconstruction:
     """The COLMAP model in `folder`, text or binary, with or without points. Raises SparseError when malformed."""
     suffix = ".bin" if all((folder / f"{name}.bin").is_file() for name in ("cameras", "images")) else ".txt"
     with tempfile.TemporaryDirectory() as scratch:
-        if not (folder / f"points3D{suffix}").is_file():  # cameras alone: pycolmap wants the file, if empty
-            shutil.copytree(folder, scratch, dirs_exist_ok=True, ignore=lambda _, names: [
-                name for name in names if Path(name).suffix != suffix
-            ])
-            (Path(scratch) / f"points3D{suffix}").write_bytes(bytes(8) if suffix == ".bin" else b"")
-            source = Path(scratch)
-        else:
-            source = folder
+        source = _plain(folder, suffix, Path(scratch))
         model = pycolmap.Reconstruction()
         try:
             if suffix == ".bin":
@@ -90,6 +81,36 @@ def read_model(folder: Path) -> pycolmap.Reconstruction:
                 remedy="Use perspective or fisheye cameras with all of their parameters, not panoramas.", path=folder,
             )
     return model
+
+
+def _plain(folder: Path, suffix: str, scratch: Path) -> Path:
+    """The folder, or a copy of its model that pycolmap can read: with a file of points, and without the marks that
+    editors put before a text. Raises SparseError."""
+    files = [path for path in folder.iterdir() if path.suffix == suffix and path.is_file()]
+    marked = {path.name: code for path in files if suffix == ".txt" and (code := _code(path))}
+    points = f"points3D{suffix}"
+    if not marked and (folder / points).is_file():
+        return folder
+    for path in files:
+        shutil.copyfile(path, scratch / path.name)
+    for name, code in marked.items():
+        try:
+            text = (folder / name).read_text(encoding=code)
+        except UnicodeError as error:
+            raise SparseError(
+                f"{folder / name} is no text ({error}).", remedy="Export the model again.", path=folder / name
+            ) from error
+        (scratch / name).write_text(text, encoding="utf-8")
+    if not (folder / points).is_file():  # cameras alone
+        (scratch / points).write_bytes(bytes(8) if suffix == ".bin" else b"")
+    return scratch
+
+
+def _code(path: Path) -> str:
+    """How a text is written that begins with a byte order mark, else ""."""
+    with open(path, "rb") as file:
+        head = file.read(3)
+    return next((code for mark, code in _MARKS.items() if head.startswith(mark)), "")
 
 
 def _check_numbers(model: pycolmap.Reconstruction) -> None:
@@ -131,67 +152,6 @@ def _restore_names(model: pycolmap.Reconstruction, images: Path) -> None:
 
 def _first_line(error: Exception) -> str:
     return (str(error).strip().splitlines() or [type(error).__name__])[0]
-
-
-def fit_to_photos(
-    model: pycolmap.Reconstruction, photo_set: PhotoSet, folder: Path, reporter: Reporter
-) -> pycolmap.Reconstruction:
-    """A given model with its images named as the photos, at the photos' size, without images that have no photo.
-
-    Poses are kept exactly, and so are cameras, unless the photos have another resolution. Raises SparseError when
-    fewer than three photos are left, or a photo's size contradicts its camera.
-    """
-    find = photo_finder(photo_set.photos)
-    matched: dict[int, Photo] = {}
-    missing = []
-    for image_id in sorted(model.reg_image_ids()):
-        photo = find(model.image(image_id).name)
-        if photo is None or photo in matched.values():
-            missing.append(model.image(image_id).name)
-        else:
-            matched[image_id] = photo
-    if len(matched) < 3:
-        raise SparseError(
-            f"Only {len(matched)} of the {model.num_reg_images()} images in the model {folder} are among the photos.",
-            remedy="Choose the folder with the photos from which the model was made; their file names must agree.",
-            path=folder,
-        )
-    if missing:
-        reporter.warning(f"{len(missing)} images of the model have no photo and were left out: {listed(missing)}.")
-    _scale_to_photos(model, matched, folder)
-    for image_id in model.reg_image_ids():
-        if image_id not in matched:
-            model.deregister_frame(model.image(image_id).frame_id)
-    model.tear_down()
-    for image_id, photo in matched.items():
-        model.image(image_id).name = photo.name
-    return model
-
-
-def _scale_to_photos(model: pycolmap.Reconstruction, matched: dict[int, Photo], folder: Path) -> None:
-    sizes: dict[int, tuple[int, int]] = {}
-    for image_id, photo in matched.items():
-        camera = model.camera(model.image(image_id).camera_id)
-        ratio = (photo.width / camera.width) / (photo.height / camera.height)
-        first = sizes.setdefault(camera.camera_id, (photo.width, photo.height))
-        if abs(ratio - 1) > SIZE_TOLERANCE or first != (photo.width, photo.height):
-            raise SparseError(
-                f"{photo.name} has {photo.width}x{photo.height} pixels, but its camera in the model {folder} has "
-                f"{camera.width}x{camera.height}.",
-                remedy="Use the photos from which the model was made (scaled evenly at most, not cropped or turned).",
-                path=photo.path,
-            )
-    for image_id in matched:
-        image = model.image(image_id)
-        camera, (width, height) = model.camera(image.camera_id), sizes[image.camera_id]
-        if (camera.width, camera.height) != (width, height):
-            for point in image.points2D:
-                point.xy = point.xy * (width / camera.width, height / camera.height)
-    for camera_id, (width, height) in sizes.items():
-        camera = model.camera(camera_id)
-        if (camera.width, camera.height) != (width, height):
-            camera.rescale(width, height)
-    model.update_point_3d_errors()
 
 
 def write_components(
@@ -243,16 +203,6 @@ def lens_of(camera: pycolmap.Camera) -> Lens | None:
         numbers = [*numbers, *[0.0] * (6 - len(numbers))]
     fx, fy, cx, cy, k1, k2, p1, p2, k3 = [*numbers[:9], *[0.0] * (9 - len(numbers))]
     return Lens(f=fx, aspect=fy / fx, cx=cx, cy=cy, k1=k1, k2=k2, p1=p1, p2=p2, k3=k3)
-
-
-def given_frame(folder: Path) -> Frame:
-    """The frame of a given model: what its own record says, if it is one of ours, else that nothing is known of it."""
-    if (folder / FRAME_FILE).is_file():
-        return read_frame(folder)
-    return Frame(
-        scale="unknown", up="given",
-        note="Cameras and frame are those of the given model; its scale and axes were taken as they are.",
-    )
 
 
 def listed(names: list[str], most: int = 5) -> str:

@@ -29,11 +29,13 @@ _LEVEL_SIGMA = 0.01  # degrees; of an up that is taken as it is
 
 @dataclass(frozen=True, kw_only=True)
 class Placement:
-    """Where a model belongs: `site_from_model`, the frame's record, and each photo's distance from its GPS (metres)."""
+    """Where a model belongs: `site_from_model`, the frame's record, and each photo's distance from its GPS in metres;
+    `along` is what of it lies along the line of sight, positive where the camera stands too near to what it sees."""
 
     site_from_model: pycolmap.Sim3d
     frame: Frame
     gps_residuals: dict[str, float] = field(default_factory=dict)
+    along: dict[str, float] = field(default_factory=dict)
 
 
 def place(model: pycolmap.Reconstruction, photos: Mapping[str, Photo]) -> Placement:
@@ -44,7 +46,7 @@ def place(model: pycolmap.Reconstruction, photos: Mapping[str, Photo]) -> Placem
     else Z up by gravity (gimbal angles, or level cameras) and a scale said to be unknown. Where GPS tells no altitudes,
     up is gravity's too, and the places in plan give scale and north.
     """
-    cameras = _cameras(model, photos)
+    cameras = cameras_of(model, photos)
     gravity = up_from_cameras(cameras)
     located = [i for i, photo in enumerate(cameras.photos) if photo.gps is not None]
     if len(located) < 3:
@@ -74,7 +76,7 @@ def place(model: pycolmap.Reconstruction, photos: Mapping[str, Photo]) -> Placem
             f"{extent:.0f} m) and was not used",
         )
     # Move the origin from the cameras to the site's middle, then fit once more: ENU axes turn a little with the place.
-    middle = middle_on_the_ground(transformed(fit.enu_from_model, _points(model)))
+    middle = middle_on_the_ground(transformed(fit.enu_from_model, points_of(model)))
     latitude, longitude, altitude = enu_to_geodetic(middle[None], origin)[0].tolist()
     site = replace(origin, latitude=latitude, longitude=longitude, altitude=None if level else altitude)
     gps = geodetic_to_enu(enu_to_geodetic(gps, origin), replace(site, altitude=altitude))
@@ -83,9 +85,11 @@ def place(model: pycolmap.Reconstruction, photos: Mapping[str, Photo]) -> Placem
         fit = replace(fit, enu_from_model=_lowered(fit.enu_from_model, model))
     frame = _frame(fit, site, gravity, len(located), reach)
     names = [photo.name for photo in places]
+    axes = cameras.rotations[located, 2] @ fit.enu_from_model.rotation.matrix().T
     return Placement(
         site_from_model=fit.enu_from_model, frame=frame,
         gps_residuals=dict(zip(names, fit.residuals.tolist(), strict=True)),
+        along=dict(zip(names, (fit.off * axes).sum(axis=1).tolist(), strict=True)),
     )
 
 
@@ -112,20 +116,22 @@ def _frame(fit: GpsFit, site: GeoPosition, gravity: Gravity, count: int, reach: 
 
 def _lowered(site_from_model: pycolmap.Sim3d, model: pycolmap.Reconstruction) -> pycolmap.Sim3d:
     """With the ground of the site's middle at 0."""
-    ground = np.array([0.0, 0.0, middle_on_the_ground(transformed(site_from_model, _points(model)))[2]])
+    ground = np.array([0.0, 0.0, middle_on_the_ground(transformed(site_from_model, points_of(model)))[2]])
     return pycolmap.Sim3d(site_from_model.scale, site_from_model.rotation, site_from_model.translation - ground)
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Cameras:
+class Cameras:
+    """A model's cameras in the order of their names."""
+
     photos: list[Photo]
     centres: np.ndarray  # (N,3) in the model's world
     rotations: np.ndarray  # (N,3,3) cam_from_world
 
 
-def _cameras(model: pycolmap.Reconstruction, photos: Mapping[str, Photo]) -> _Cameras:
+def cameras_of(model: pycolmap.Reconstruction, photos: Mapping[str, Photo]) -> Cameras:
     images = sorted((model.image(i) for i in model.reg_image_ids()), key=lambda image: image.name)
-    return _Cameras(
+    return Cameras(
         photos=[photos[image.name] for image in images],
         centres=np.array([image.projection_center() for image in images]),
         rotations=np.array([image.cam_from_world().rotation.matrix() for image in images]),
@@ -141,7 +147,7 @@ class Gravity:
     source: str
 
 
-def up_from_cameras(cameras: _Cameras) -> Gravity:
+def up_from_cameras(cameras: Cameras) -> Gravity:
     """Where up is, from gimbal angles if they agree with the model, else from how cameras are held.
 
     Photographers and drones hold a camera level, so that up is the direction most nearly orthogonal to all image
@@ -178,11 +184,11 @@ def up_from_cameras(cameras: _Cameras) -> Gravity:
 
 
 def _place_by_gravity(
-    model: pycolmap.Reconstruction, cameras: _Cameras, gravity: Gravity, why: str
+    model: pycolmap.Reconstruction, cameras: Cameras, gravity: Gravity, why: str
 ) -> Placement:
     scale = TYPICAL_DISTANCE / max(_median_distance(model), 1e-9)
     rotation = rotations.between(gravity.up, _UP)
-    middle = middle_on_the_ground(scale * _points(model) @ rotation.T)
+    middle = middle_on_the_ground(scale * points_of(model) @ rotation.T)
     transform = pycolmap.Sim3d(scale, pycolmap.Rotation3d(rotation), -middle)
     note = f"{why}: scale and north are unknown (set them with a scale bar); Z up comes from {gravity.source}."
     return Placement(site_from_model=transform, frame=Frame(scale="unknown", up="gravity", note=note))
@@ -190,10 +196,12 @@ def _place_by_gravity(
 
 @dataclass(frozen=True, kw_only=True)
 class GpsFit:
-    """`enu_from_model` and how well it fits: `residuals` (N,) in metres, in plan for photos without an altitude, their
-    median, that of what tells the scale, and the flight's shape."""
+    """`enu_from_model` and how well it fits: `off` (N,3) the cameras from their GPS and its length `residuals` (N,) in
+    metres, in plan for photos without an altitude, their median, that of what tells the scale, and the flight's shape.
+    """
 
     enu_from_model: pycolmap.Sim3d
+    off: np.ndarray
     residuals: np.ndarray
     median_residual: float
     scale_residual: float
@@ -222,7 +230,7 @@ def align_to_gps(
     off = transformed(fit.enu_from_model, centres) - gps
     off[~known, 2] = 0
     residuals = np.asarray(np.linalg.norm(off, axis=1))
-    return replace(fit, residuals=residuals, median_residual=float(np.median(residuals)))
+    return replace(fit, off=off, residuals=residuals, median_residual=float(np.median(residuals)))
 
 
 def _align(centres: np.ndarray, gps: np.ndarray, gravity: Gravity) -> GpsFit:
@@ -261,8 +269,8 @@ def _align(centres: np.ndarray, gps: np.ndarray, gravity: Gravity) -> GpsFit:
         residuals = _distances(best, centres, gps)
         scale_residual = float(np.median(_distances(best, *along)))
     return GpsFit(
-        enu_from_model=best, residuals=residuals, median_residual=float(np.median(residuals)),
-        scale_residual=scale_residual, on_a_line=on_a_line,
+        enu_from_model=best, off=transformed(best, centres) - gps, residuals=residuals,
+        median_residual=float(np.median(residuals)), scale_residual=scale_residual, on_a_line=on_a_line,
     )
 
 
@@ -305,7 +313,7 @@ def transformed(transform: pycolmap.Sim3d, points: np.ndarray) -> np.ndarray:
     return np.asarray(points @ matrix[:, :3].T + matrix[:, 3])
 
 
-def _points(model: pycolmap.Reconstruction) -> np.ndarray:
+def points_of(model: pycolmap.Reconstruction) -> np.ndarray:
     return np.array([point.xyz for point in model.points3D.values()])
 
 

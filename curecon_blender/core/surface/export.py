@@ -28,11 +28,13 @@ _GLB, _JSON = 0x46546C67, 0x4E4F534A  # "glTF", "JSON"
 @dataclass(frozen=True, kw_only=True)
 class Provenance:
     """Where a surface's frame stands, and whose it is. `origin` is None where nobody knows it or it is to stay secret;
-    `scale` is "metres" or "unknown"; `north` tells whether y is north."""
+    `scale` is "metres" or "unknown"; `north` tells whether y is north. `shift` is what
+    to add to come back to a given model's coordinates."""
 
     scale: str
     north: bool
     origin: GeoPosition | None = None
+    shift: tuple[float, float, float] | None = None
     licence: str = ""
     credit: str = ""
 
@@ -46,6 +48,8 @@ class Provenance:
         fields: dict[str, Any] = {"generator": GENERATOR, "scale": self.scale, "north": self.north}
         if self.origin is not None:
             fields["origin"] = {"crs": "WGS84", **asdict(self.origin)}
+        if self.shift is not None:
+            fields["shift"] = list(self.shift)
         return fields | {name: text for name in ("licence", "credit") if (text := _one_line(getattr(self, name)))}
 
     def lines(self) -> list[str]:
@@ -57,6 +61,8 @@ class Provenance:
                 f"{self.origin.altitude:.4f} {_ABOVE[self.origin.altitude_datum]}")
             lines.append(f"origin WGS84 latitude {self.origin.latitude:.9f} longitude {self.origin.longitude:.9f} "
                          f"altitude {altitude}")
+        if self.shift is not None:
+            lines.append("add {:.4f} {:.4f} {:.4f} for the given model's coordinates".format(*self.shift))
         return lines + [f"{name}: {text}" for name in ("licence", "credit") if (text := _one_line(getattr(self, name)))]
 
 
