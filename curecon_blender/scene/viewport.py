@@ -257,6 +257,7 @@ def _paint_over_bounds(context: bpy.types.Context, items: list[bpy.types.Object]
         gpu.matrix.load_projection_matrix(nearer)
         gpu.state.blend_set("NONE")
         gpu.state.depth_test_set("LESS_EQUAL")
+        gpu.state.depth_mask_set(False)  # or the points behind an edge, drawn next, would be left out
         batch_for_shader(shader, "LINES", {"pos": places, "color": colours}).draw(shader)
         gpu.state.depth_test_set("NONE")
 
