@@ -35,6 +35,7 @@ from .core.base.options import RUN, declared
 LOG_NAME = "worker.log"
 CANCEL_GRACE = 15.0  # seconds a worker has to stop by itself: one tile or one pycolmap call
 LOG_GRACE = 2.0  # seconds to take in what a worker that has ended said last
+ETA_SHARE = 0.2  # of the way from the remaining time that is shown to a new estimate
 LAST_WARNINGS = 5
 LAST_WORDS = 4000  # bytes
 KILLED = -getattr(signal, "SIGKILL", 9)
@@ -78,17 +79,20 @@ class Status:
     warning_count: int = 0
     result: Result | None = None
     failure: Failure | None = None
+    began: float = field(default_factory=time.monotonic)
+    said: str = ""  # the report of a job that ended well
 
     def apply(self, message: Message) -> None:
         match message:
             case StageStarted():
                 self.stages.append(StageStatus(message.stage))
-                self.stage_index, self.stage_count, self.eta = message.index, message.count, None
+                self.stage_index, self.stage_count = message.index, message.count
             case Progress():
                 if not self.stages or self.stages[-1].stage != message.stage:
                     self.stages.append(StageStatus(message.stage))
                 self.stages[-1].done, self.stages[-1].total = message.done, message.total
-                self.overall, self.eta, self.eta_at = message.overall, message.eta, time.monotonic()
+                self._take_eta(message.eta)
+                self.overall = message.overall
             case Warning():
                 text = message.text if message.photo is None else f"{message.photo}: {message.text}"
                 self.warnings = [*self.warnings, text][-LAST_WARNINGS:]
@@ -99,6 +103,17 @@ class Status:
                 self.failure = message
             case Log():
                 pass
+
+    def _take_eta(self, eta: float | None) -> None:
+        """What is shown goes a part of the way to a new estimate each time: one slow photo makes no leap."""
+        shown = self.seconds_left
+        if eta is not None and shown is not None:
+            eta = shown + ETA_SHARE * (eta - shown)
+        self.eta, self.eta_at = eta, time.monotonic()
+
+    @property
+    def seconds_running(self) -> float:
+        return time.monotonic() - self.began
 
     @property
     def seconds_left(self) -> float | None:

@@ -25,6 +25,7 @@ class Settings:
     worker_python: Path = Path(sys.executable)
     scheduler: str = ""
     cache: Path | None = None
+    sound: bool = False
 
     @property
     def import_paths(self) -> list[Path]:
@@ -46,5 +47,5 @@ def settings(context: bpy.types.Context) -> Settings:
         memory_gib=preferences.memory_gib or None,
         worker_python=Path(bpy.path.abspath(preferences.worker_python or sys.executable)),
         scheduler=preferences.scheduler.strip(),
-        cache=Path(bpy.path.abspath(preferences.cache)) if preferences.cache else None,
+        cache=Path(bpy.path.abspath(preferences.cache)) if preferences.cache else None, sound=preferences.sound,
     )

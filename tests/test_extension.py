@@ -84,6 +84,12 @@ def test_a_stopped_import_leaves_nothing_and_an_undo_in_its_midst_ends_well(blen
     run_script(blender, "check_steps.py", work, resources=tmp_path / "user")
 
 
+def test_the_menus_offer_it_and_what_they_export_is_in_metres(blender: Path, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    work.mkdir()
+    run_script(blender, "check_menus.py", work, resources=tmp_path / "user")
+
+
 def test_bad_input_is_an_error_in_words(blender: Path, tmp_path: Path) -> None:
     work = tmp_path / "work"
     work.mkdir()

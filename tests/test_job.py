@@ -209,3 +209,16 @@ def test_close_ends_the_worker(start_worker: StartWorker) -> None:
                                                 (9000, "2 h 30 min")])
 def test_duration_reads_as_words(seconds: float, words: str) -> None:
     assert duration(seconds) == words
+
+
+def test_the_remaining_time_makes_no_leap() -> None:
+    """One slow photo at the start, whose estimate is three times the truth, moves what is shown by a part of that."""
+    status = Status()
+    status.apply(Progress(stage="depth", done=1, total=30, overall=0.1, eta=900.0))
+    status.apply(Progress(stage="depth", done=2, total=30, overall=0.12, eta=2700.0))
+    assert status.seconds_left is not None and 900 < status.seconds_left < 1300
+    for done in range(3, 30):  # and comes to the truth while the estimates agree
+        status.apply(Progress(stage="depth", done=done, total=30, overall=done / 30, eta=600.0))
+    assert abs(status.seconds_left - 600) < 10
+    status.apply(StageStarted(stage="fusion", index=4, count=5))
+    assert status.seconds_left is not None  # it does not vanish between two stages

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import bpy
 
+from ..scene import cameras, points, surface
 from . import (
     accuracy_report,
     build_surface,
@@ -13,6 +14,7 @@ from . import (
     choose_photos,
     cloud_points,
     control_points,
+    export_cloud,
     export_surface,
     frame_ground,
     frame_level,
@@ -35,7 +37,7 @@ from . import (
 
 CLASSES = (
     *choose_photos.CLASSES, *check_photos.CLASSES, *reconstruct.CLASSES, *presets.CLASSES, *import_workspace.CLASSES,
-    *build_surface.CLASSES, *export_surface.CLASSES, *accuracy_report.CLASSES,
+    *build_surface.CLASSES, *export_surface.CLASSES, *export_cloud.CLASSES, *accuracy_report.CLASSES,
     *present_elevations.CLASSES, *present_moves.CLASSES, *present_renders.CLASSES, *present_photos.CLASSES,
     *present_sun.CLASSES,
     *frame_scale.CLASSES, *frame_level.CLASSES, *frame_north.CLASSES, *frame_ground.CLASSES, *frame_reset.CLASSES,
@@ -46,20 +48,93 @@ CLASSES = (
 
 
 def _file_import(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
-    menu.layout.operator("curecon.choose_photos")
+    menu.layout.operator("curecon.choose_photos", text="Drone Photos (CU-Recon)")
     menu.layout.operator("curecon.import_workspace", text="CU-Recon Workspace")
     menu.layout.operator("curecon.import_model", text="COLMAP Model (CU-Recon)")
 
 
 def _file_export(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
     menu.layout.operator("curecon.export_surface", text="Surface (CU-Recon)")
+    menu.layout.operator("curecon.export_cloud", text="Point Cloud (CU-Recon)")
+    menu.layout.operator("curecon.render_elevations", text="Elevation Sheets (CU-Recon)")
+
+
+class CURECON_MT_add(bpy.types.Menu):
+    """What can be brought in; the words are those that people look for with F3."""
+
+    bl_idname = "CURECON_MT_add"
+    bl_label = "Photogrammetry"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.layout
+        layout.operator_context = "INVOKE_DEFAULT"
+        layout.operator("curecon.choose_photos", text="Scan from Drone Photos...", icon="FILE_FOLDER")
+        layout.operator("curecon.import_workspace", icon="IMPORT")
+        layout.operator("curecon.add_region", icon="MESH_CUBE")
+        layout.separator()
+        layout.operator("curecon.show_tab", text="Open CU-Recon in the Sidebar", icon="MENU_PANEL")
+
+
+class CURECON_MT_object(bpy.types.Menu):
+    """What can be done with a site in the scene."""
+
+    bl_idname = "CURECON_MT_object"
+    bl_label = "Photogrammetry Scan"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.layout
+        layout.operator_context = "INVOKE_DEFAULT"
+        layout.operator("curecon.measure", icon="ARROW_LEFTRIGHT")
+        layout.operator("curecon.frame_scale", icon="DRIVER_DISTANCE")
+        layout.operator("curecon.frame_cloud", text="Frame the Scan", icon="VIEWZOOM")
+        layout.separator()
+        layout.operator("curecon.build_mesh", text="Build Mesh from Cloud", icon="MESH_DATA")
+        layout.operator("curecon.texture", text="Texture from Drone Photos", icon="TEXTURE")
+        layout.separator()
+        layout.operator("curecon.look_through", text="Look Through Photo", icon="CAMERA_DATA").which = "SELECTED"
+        layout.operator("curecon.set_sun", icon="LIGHT_SUN")
+        layout.operator("curecon.render_elevations", icon="SNAP_PERPENDICULAR")
+        layout.separator()
+        layout.operator("curecon.export_surface", text="Export Surface...", icon="EXPORT")
+        layout.operator("curecon.export_cloud", text="Export Point Cloud...", icon="EXPORT")
+
+
+def _add(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
+    menu.layout.menu("CURECON_MT_add", icon="OUTLINER_OB_POINTCLOUD")
+
+
+def _object(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
+    menu.layout.separator()
+    menu.layout.menu("CURECON_MT_object", icon="OUTLINER_OB_POINTCLOUD")
+
+
+def _object_context(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
+    """Only over what is ours: the menu is long as it is."""
+    item = context.active_object
+    if item is not None and (cameras.is_photo_camera(item) or surface.is_surface(item) or points.is_cloud(item)):
+        _object(menu, context)
+
+
+CLASSES += (CURECON_MT_add, CURECON_MT_object)
+MENUS = (
+    ("TOPBAR_MT_file_import", _file_import), ("TOPBAR_MT_file_export", _file_export), ("VIEW3D_MT_add", _add),
+    ("VIEW3D_MT_object", _object), ("VIEW3D_MT_object_context_menu", _object_context),
+)
+_keys: list[tuple[bpy.types.KeyMap, bpy.types.KeyMapItem]] = []
 
 
 def add_menus() -> None:
-    bpy.types.TOPBAR_MT_file_import.append(_file_import)
-    bpy.types.TOPBAR_MT_file_export.append(_file_export)
+    """Entries in Blender's menus, and a key that the user may change in the preferences."""
+    for name, draw in MENUS:
+        getattr(bpy.types, name).append(draw)
+    if (keys := bpy.context.window_manager.keyconfigs.addon) is not None:  # there are none in background Blender
+        keymap = keys.keymaps.new(name="3D View", space_type="VIEW_3D")
+        _keys.append((keymap, keymap.keymap_items.new("curecon.show_tab", "U", "PRESS", ctrl=True, alt=True)))
 
 
 def remove_menus() -> None:
-    bpy.types.TOPBAR_MT_file_import.remove(_file_import)
-    bpy.types.TOPBAR_MT_file_export.remove(_file_export)
+    for name, draw in MENUS:
+        getattr(bpy.types, name).remove(draw)
+    for keymap, item in _keys:
+        keymap.keymap_items.remove(item)
+    _keys.clear()

@@ -17,7 +17,7 @@ from bpy_extras.io_utils import ExportHelper
 from ..core.base.errors import CuReconError
 from ..scene.exchange import Choices, export_surfaces
 from ..scene.surface import surfaces_of
-from . import running
+from . import paths, running
 
 FORMS = (
     ("GLB", "GLB", "One file with the texture inside, for the web, presentations and game engines (glTF 2.0)"),
@@ -29,6 +29,15 @@ TEXTURES = (
     ("JPEG", "JPEG", "Small files that every viewer reads"),
     ("WEBP", "WebP", "Smaller still; older viewers cannot read it"),
 )
+
+
+def position_property() -> object:
+    """Whether the file may tell where the site is; off, since a file is soon given away."""
+    return BoolProperty(
+        name="GPS Position", default=False,
+        description="Write latitude, longitude (degrees) and altitude (metres) of the frame's origin into the file. "
+                    "Off: nobody can read from it where the site is",
+    )
 
 
 class CURECON_OT_export_surface(bpy.types.Operator, ExportHelper):
@@ -45,11 +54,7 @@ class CURECON_OT_export_surface(bpy.types.Operator, ExportHelper):
         name="Photo Colours", default=True,
         description="Viewers show the photos' colours as they are. Off: viewers light the surface themselves",
     )
-    position: BoolProperty(
-        name="GPS Position", default=True,
-        description="Write latitude, longitude (degrees) and altitude (metres) of the frame's origin into the file. "
-                    "Off: nobody can read from it where the site is",
-    )
+    position: position_property()
     filter_glob: StringProperty(default="*.glb;*.obj;*.ply", options={"HIDDEN"})
 
     @classmethod
@@ -62,6 +67,10 @@ class CURECON_OT_export_surface(bpy.types.Operator, ExportHelper):
     @property
     def filename_ext(self) -> str:  # ExportHelper's name for it
         return f".{self.form.lower()}"
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.filepath = str(paths.export_file(context.scene, self.filename_ext))
+        return ExportHelper.invoke(self, context, event)
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, properties = self.layout, context.scene.curecon

@@ -65,6 +65,17 @@ def workspace_folder(context: bpy.types.Context, scene: bpy.types.Scene) -> Path
     return Path.home() / "CU-Recon" / distinct
 
 
+def site_name(scene: bpy.types.Scene) -> str:
+    """What the site is called: its workspace's name."""
+    return absolute(site.workspace(scene)).name.removesuffix("_curecon")
+
+
+def export_file(scene: bpy.types.Scene, ending: str) -> Path:
+    """Where an export goes unless the user says otherwise: named after the site, beside the .blend or the workspace."""
+    folder = Path(bpy.data.filepath).parent if bpy.data.filepath else absolute(site.workspace(scene)).parent
+    return folder / f"{site_name(scene)}{ending}"
+
+
 def absolute(blender_path: str) -> Path:
     """A path as Blender's fields hold it (perhaps relative to the .blend, with a slash at its end), made absolute."""
     return Path(os.path.normpath(bpy.path.abspath(blender_path)))

@@ -116,6 +116,15 @@ class CURECON_OT_cancel(bpy.types.Operator):
             return False
         return True
 
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """By a key: asks first where much would have to be waited for again."""
+        if running.status.seconds_running < running.LONG_SECONDS:
+            return self.execute(context)
+        return context.window_manager.invoke_confirm(
+            self, event, title="Stop the Job?", confirm_text="Stop", icon="QUESTION",
+            message="Finished work is kept, and the next run goes on from it.",
+        )
+
     def execute(self, context: bpy.types.Context) -> set[str]:
         running.cancel()
         running.redraw_panels(context)

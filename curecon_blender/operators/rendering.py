@@ -40,8 +40,7 @@ def folder_of(scene: bpy.types.Scene) -> Path:
 
 def title_of(scene: bpy.types.Scene) -> str:
     """What the sheets are headed with: the chosen title, else the workspace's name."""
-    name = paths.absolute(site.workspace(scene)).name.removesuffix("_curecon")
-    return scene.curecon.present.title or name.replace("_", " ")
+    return scene.curecon.present.title or paths.site_name(scene).replace("_", " ")
 
 
 def today() -> str:

@@ -22,6 +22,7 @@ from ..preferences import settings
 POLL_SECONDS = 0.05
 SLICE_SECONDS = 0.002  # a timer tick begins slices for so long: a long one is alone, since 0.1 seems to hang
 REDRAW_SECONDS = 1.0
+LONG_SECONDS = 60.0  # from then on a job is not ended by a slip of the hand, and its end may be heard
 # Work in slices of a few milliseconds: each says what is being done, or is None where there is nothing to do but wait.
 # Returns the report for the user.
 Work = Generator[str | None, None, str]
@@ -94,11 +95,24 @@ def line() -> str:
         return iface_("CU-Recon: {}...    Esc: cancel").format(iface_(status.task))
     stage, done, left = status.stages[-1], f"{status.overall:.0%}", status.seconds_left
     name = iface_(STAGE_NAMES.get(stage.stage, stage.stage))
-    if stage.total:
-        name = f"{name} {stage.done}/{stage.total}"
+    if stage.total > 1:
+        name = f"{name} {stage.fraction:.0%}"
     if left is not None:
         done = iface_("{}, {} left").format(done, duration(left))
     return iface_("CU-Recon: {} ({})    Esc: cancel").format(name, done)
+
+
+def _draw_status(header: bpy.types.Header, context: bpy.types.Context) -> None:
+    """The job in Blender's status bar."""
+    row = header.layout.row()
+    row.progress(factor=status.overall, text="")
+    row.label(text=line(), translate=False)
+
+
+def _chime() -> None:
+    import aud
+
+    aud.Device().play(aud.Sound.sine(660).limit(0, 0.6).fadeout(0.1, 0.5).volume(0.3))
 
 
 def explain(error: CuReconError | Failure) -> str:
@@ -144,7 +158,7 @@ class ModalOperator:
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if event.type == "ESC" and event.value == "PRESS":
-            cancel()
+            bpy.ops.curecon.cancel("INVOKE_DEFAULT")
             return {"RUNNING_MODAL"}
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
@@ -152,7 +166,7 @@ class ModalOperator:
         if ended is not None or time.monotonic() - self._redrawn > REDRAW_SECONDS:
             self._redrawn = time.monotonic()
             redraw_panels(context)
-            context.workspace.status_text_set(None if ended is not None else line())
+            context.workspace.status_text_set(None if ended is not None else _draw_status)
         if ended is None:
             return {"PASS_THROUGH"}
         context.window_manager.event_timer_remove(self._timer)
@@ -196,6 +210,9 @@ class ModalOperator:
             self.report({level}, explain(status.failure))
             return {"CANCELLED"}
         self.report({"INFO"}, said)
+        status.said = said
+        if status.seconds_running > LONG_SECONDS and settings(bpy.context).sound and not bpy.app.background:
+            _chime()
         return {"FINISHED"}
 
 

@@ -15,6 +15,7 @@ from ..job import Status, duration
 from ..operators import running
 from ..operators.running import STAGE_NAMES
 from ..preferences import ADDON
+from ..scene.sidebar import TAB
 
 QUALITYS_OWN = "0 takes the quality's own:"
 
@@ -25,7 +26,7 @@ class Panel:
     layout: bpy.types.UILayout  # Blender's own, at drawing
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
-    bl_category = "CU-Recon"
+    bl_category = TAB
 
 
 class AdvancedPanel(Panel):
@@ -92,7 +93,9 @@ def gibibytes(amount: float) -> str:
 
 
 def draw_outcome(layout: bpy.types.UILayout, context: bpy.types.Context, status: Status) -> None:
-    """The last job's warnings, and how it failed if it did."""
+    """How the last job ended, and its warnings."""
+    if status.said:
+        paragraph(layout, context, status.said, icon="CHECKMARK")
     if status.warning_count:
         box = layout.box()
         for text in status.warnings:
@@ -127,9 +130,11 @@ def draw_progress(layout: bpy.types.UILayout, status: Status) -> None:
     if status.stages or status.overall:  # an import has no worker to tell of it
         column.progress(factor=status.overall, text="Cancelling..." if status.cancelling else overall)
         column.separator()
-    for stage in status.stages:
+    for stage in status.stages:  # in per cent: some count photos, some steps of their own
         name = iface_(STAGE_NAMES.get(stage.stage, stage.stage))
-        column.progress(factor=stage.fraction, text=f"{name}  {stage.done}/{stage.total}" if stage.total > 1 else name)
+        column.progress(factor=stage.fraction, text=f"{name}  {stage.fraction:.0%}" if stage.total > 1 else name)
     if not status.stages:
         column.label(text=f"{iface_(status.task)}...", translate=False)
-    layout.operator("curecon.cancel", icon="X")
+    row = layout.row()
+    row.operator_context = "EXEC_DEFAULT"  # Esc may be a slip, a click on this is none
+    row.operator("curecon.cancel", icon="X")

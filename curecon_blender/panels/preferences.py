@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 import bpy
-from bpy.props import EnumProperty, FloatProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 
 from ..operators import running
 from ..operators.self_check import PANEL, described
@@ -50,6 +50,10 @@ class CURECON_AP_preferences(bpy.types.AddonPreferences):
         subtype="DIR_PATH",
     )
 
+    sound: BoolProperty(
+        name="Sound at the End", description="A tone when a job of more than a minute is done", default=False,
+    )
+
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
         layout.use_property_split = True
@@ -59,6 +63,7 @@ class CURECON_AP_preferences(bpy.types.AddonPreferences):
         layout.prop(self, "worker_python", placeholder="Blender's own Python")
         layout.prop(self, "scheduler", placeholder="This computer alone")
         layout.prop(self, "cache", placeholder="Beside the photos")
+        layout.prop(self, "sound")
         _draw_self_check(layout, context)
 
 

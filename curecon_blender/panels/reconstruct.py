@@ -50,6 +50,8 @@ class CURECON_PT_reconstruct(Panel, bpy.types.Panel):
         column.row().prop(properties, "quality", text="")
         column.row().prop(properties, "goal", text="")
         checked = check.folder == properties.photos
+        if checked:
+            self._draw_costs(check, properties)
         cost = check.costs.get(f"{properties.quality}:{properties.goal}") if checked else None
         if cost is not None and not (properties.max_image_size or properties.views):  # it is of the quality's own
             self._draw_cost(context, properties, cost)
@@ -57,6 +59,19 @@ class CURECON_PT_reconstruct(Panel, bpy.types.Panel):
             action(layout, "curecon.reconstruct", icon="PLAY")
         else:  # the check is the next action, or what comes after the cloud
             layout.operator("curecon.reconstruct", icon="PLAY")
+
+    def _draw_costs(self, check: bpy.types.PropertyGroup, properties: bpy.types.PropertyGroup) -> None:
+        """What each quality takes, side by side."""
+        table = self.layout.grid_flow(row_major=True, columns=3, align=True)
+        table.scale_y = 0.8
+        for name in QUALITIES:
+            if (cost := check.costs.get(f"{name}:{properties.goal}")) is None:
+                continue
+            time = duration(cost.seconds) if cost.seconds >= 60 else iface_("< 1 min")
+            for text in (iface_(name.capitalize()), time, gibibytes(cost.memory_gib)):
+                cell = table.row()
+                cell.active = _fits(check, cost)
+                cell.label(text=text, translate=False)
 
     def _draw_cost(
         self, context: bpy.types.Context, properties: bpy.types.PropertyGroup, cost: bpy.types.PropertyGroup

@@ -117,7 +117,8 @@ class CURECON_PG_scene(bpy.types.PropertyGroup):
         "photos, panoramas, maps, screenshots, copies. Check the photos again after a change",
     )
     quality: EnumProperty(
-        name="Quality", description="Detail against time", items=QUALITIES, default="standard",
+        name="Quality", description="Detail against time. Preview is for a first look", items=QUALITIES,
+        default="preview",
     )
     max_image_size: IntProperty(
         name="Max Image Size", description="Longest side of the depth maps in pixels; 0 takes the quality's own",

@@ -1,26 +1,28 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The surface as GLB, OBJ or PLY for other programs, through Blender's own exporters."""
+"""The surface as GLB, OBJ or PLY for other programs, through Blender's own exporters, and the cloud as PLY."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import bpy
+import numpy as np
 from mathutils import Matrix
 
 from ..core.base.errors import WorkspaceError
 from ..core.base.files import disk_errors
 from ..core.base.reading import build
 from ..core.base.records import GeoPosition
+from ..core.cloud.ply import CloudWriter, read_cloud
 from ..core.surface import export
 from ..core.surface.export import Provenance
-from . import placing, surface
+from . import cloud_edits, placing, points, surface
 from .frame import ADJUSTED_KEY, FRAME_KEY, Part, world_matrix
 
 IMAGE_QUALITY = 90  # of JPEG and WebP in a GLB
@@ -85,6 +87,34 @@ def export_surfaces(
     )
 
 
+def export_cloud(item: bpy.types.Object, path: Path, choices: Choices) -> Exported:
+    """Write a cloud without the points that were taken out as PLY, as `export_surfaces` writes a surface. Raises
+    WorkspaceError."""
+    source = Path(item.data[cloud_edits.FILE_KEY])
+    if not source.is_file() or len(item.data.points) != item.data[points.CLOUD_KEY]:
+        raise WorkspaceError(
+            f"The file of {item.name}, {source}, is gone or has other points.", path=source,
+            remedy="Import its workspace again, then export.",
+        )
+    with disk_errors(path):
+        cloud = read_cloud(source)
+        kept = np.empty(len(cloud), bool)
+        kept[points.file_order(len(cloud))] = ~cloud_edits.removed(item)
+        matrix = np.array(Matrix.Scale(1 / _metre_of(item), 4) @ world_matrix(item))
+        turn = matrix[:3, :3] / np.cbrt(np.linalg.det(matrix[:3, :3]))
+        cloud = cloud.take(kept)
+        cloud = replace(cloud, points=(cloud.points @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32),
+                        normals=(cloud.normals @ turn.T).astype(np.float32))
+        about = _provenance(item, choices)
+        with TemporaryDirectory(prefix=".curecon-", dir=path.parent) as scratch:
+            made = Path(scratch) / path.name
+            with CloudWriter(made) as writer:
+                writer.write(cloud)
+            export.comment_ply(made, about.lines())
+            os.replace(made, path)
+    return Exported(files=(path,), has_position=about.origin is not None)
+
+
 def _write_glb(
     path: Path, items: list[bpy.types.Object], about: dict[str, Provenance], choices: Choices, *, textured: bool
 ) -> None:
@@ -145,12 +175,13 @@ def _file_of(image: bpy.types.Image) -> Path:
 
 
 def _provenance(item: bpy.types.Object, choices: Choices) -> Provenance:
-    """What the importer left on the object."""
+    """What the importer left on the object, or on the collection of its part."""
+    holder = next((found for found in (item, *item.users_collection) if "scale" in found), item)
     origin = None
     part = _part_of(item)
-    if choices.position and "origin_latitude" in item:
+    if choices.position and "origin_latitude" in holder:
         try:
-            told = {field.name: item.get(f"origin_{field.name}") for field in fields(GeoPosition)}
+            told = {field.name: holder.get(f"origin_{field.name}") for field in fields(GeoPosition)}
             if told["altitude_datum"] is None:  # a surface imported before datums were kept
                 del told["altitude_datum"]
             origin = build(GeoPosition, told)
@@ -162,7 +193,7 @@ def _provenance(item: bpy.types.Object, choices: Choices) -> Provenance:
                 remedy="Untick GPS Position, or import the workspace again.",
             ) from error
     return Provenance(
-        scale=item.get("scale", "unknown"), north=bool(item.get("north", False)), origin=origin,
+        scale=holder.get("scale", "unknown"), north=bool(holder.get("north", False)), origin=origin,
         shift=placing.world_shift(part) if choices.position and part is not None else None,
         licence=choices.licence, credit=choices.credit,
     )
@@ -173,8 +204,9 @@ def _part_of(item: bpy.types.Object) -> Part | None:
 
 
 def _metre_of(item: bpy.types.Object) -> float:
-    """How long a metre of a surface's frame is in the scene, in Blender's units."""
-    return float(world_matrix(item).median_scale / item.get(ADJUSTED_KEY, 1.0))
+    """How long a metre of a surface's or cloud's frame is in the scene, in Blender's units."""
+    adjusted = next((found[ADJUSTED_KEY] for found in (item, *item.users_collection) if ADJUSTED_KEY in found), 1.0)
+    return float(world_matrix(item).median_scale / adjusted)
 
 
 def _lines(about: dict[str, Provenance]) -> list[str]:

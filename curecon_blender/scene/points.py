@@ -242,6 +242,10 @@ def subject_of(points: np.ndarray, matrix: np.ndarray, within: np.ndarray | None
     return found
 
 
+def is_cloud(item: bpy.types.Object) -> bool:
+    return item.type == "POINTCLOUD" and CLOUD_KEY in item.data
+
+
 def bounds(places: np.ndarray) -> Bounds | None:
     """Lowest and highest x, y, z of `places` (N,3), strays left out; None where there are none."""
     if not len(places):

@@ -88,7 +88,7 @@ def check_parts_by_gps() -> None:
     path = FOLDER / "second.glb"
     for item in surfaces_of(scene):
         item.select_set(item.name != "Surface")
-    assert bpy.ops.curecon.export_surface(filepath=str(path), form="GLB") == {"FINISHED"}
+    assert bpy.ops.curecon.export_surface(filepath=str(path), form="GLB", position=True) == {"FINISHED"}
     told = node_of(path, -1)["extras"]["origin"]
     assert abs(told["longitude"] - 117.25) < 1e-6 and abs(told["altitude"] - 310) < 0.01, told
 

@@ -62,7 +62,7 @@ for _ in range(2):
             assert cls.__name__ == f"CURECON_OT_{cls.bl_idname.removeprefix('curecon.')}", cls
     disabled = [cls for cls in classes if issubclass(cls, bpy.types.Operator) and check_disabled(cls)]
     assert len(disabled) > 5, disabled
-    assert bpy.context.scene.curecon.quality == "standard"
+    assert bpy.context.scene.curecon.quality == "preview"
     curecon_blender.unregister()
     assert not any(cls.is_registered for cls in classes)
     assert not hasattr(bpy.types.Scene, "curecon")

@@ -31,7 +31,7 @@ def state() -> list[object]:
 
 
 def export(name: str, form: str, **options: object) -> None:
-    before = state()
+    before, options = state(), {"position": True, **options}
     assert bpy.ops.curecon.export_surface(filepath=str(FOLDER / name), form=form, **options) == {"FINISHED"}
     assert state() == before, (before, state())
 

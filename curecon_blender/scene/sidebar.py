@@ -1,0 +1,35 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The tab of the sidebar, opened for a user who has not found it yet."""
+
+from __future__ import annotations
+
+import bpy
+
+TAB = "CU-Recon"  # of the sidebar
+TAB_SECONDS, TAB_TRIES = 0.1, 50  # between two tries to turn to it
+
+
+def show_tab(context: bpy.types.Context) -> None:
+    """Open the sidebar of the 3D viewport that the user is in, or else of the largest one, on our tab."""
+    found = [area for area in context.window.screen.areas if area.type == "VIEW_3D"] if context.window else []
+    area = context.area if context.area in found else max(
+        found, key=lambda area: area.width * area.height, default=None)
+    if area is None:
+        return
+    area.spaces.active.show_region_ui = True
+    sidebar = next(region for region in area.regions if region.type == "UI")
+    tries = 0
+
+    def turn() -> float | None:
+        """A sidebar knows its tabs only once it has been drawn."""
+        nonlocal tries
+        tries += 1
+        try:
+            sidebar.active_panel_category = TAB
+        except (AttributeError, TypeError, ReferenceError):
+            return TAB_SECONDS if tries < TAB_TRIES else None
+        area.tag_redraw()
+        return None
+
+    bpy.app.timers.register(turn, first_interval=0.0)
