@@ -81,6 +81,7 @@ def _from(first: Part, part: Part) -> np.ndarray:
     axes, _ = np.linalg.qr((seen[1:] - seen[0]).T)
     matrix[:3, :3] = axes * np.sign(np.diag(axes))
     matrix[:3, 3] = seen[0]
-    if origin.altitude_datum != other.altitude_datum or UNKNOWN in (origin.altitude_datum, other.altitude_datum):
+    known = None not in (origin.altitude, other.altitude) and origin.altitude_datum == other.altitude_datum != UNKNOWN
+    if not known:
         matrix[2, 3] = 0.0
     return matrix
