@@ -9,8 +9,10 @@ from pathlib import Path
 import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 
-from ..scene import elevations, render_scene
-from . import rendering
+from ..core.base.errors import WorkspaceError
+from ..core.photos import capture
+from ..scene import elevations, render_scene, site
+from . import paths, rendering
 from .rendering import RenderSeries
 
 
@@ -25,7 +27,15 @@ class CURECON_OT_render_elevations(RenderSeries, bpy.types.Operator):
         return [elevation.shot for elevation in self._plan.elevations]
 
     def done(self, scene: bpy.types.Scene, folder: Path) -> str:
-        bare = elevations.write_sheets(self._plan, folder, rendering.title_of(scene), rendering.today())
+        try:
+            times = capture.read_times(paths.absolute(site.workspace(scene)))
+        except WorkspaceError as error:
+            times = {}
+            self.report({"WARNING"}, rpt_("{} The sheets do not say when the photos were taken.").format(error.message))
+        said_of_all = elevations.notes(scene, times)
+        drawn = rpt_("Drawn {}").format(rendering.today())
+        bare = elevations.write_sheets(self._plan, folder, rendering.title_of(scene), drawn, said_of_all)
+        self.sheet = self._plan.elevations[0].shot.file
         if bare:
             self.report({"WARNING"}, rpt_("Next to nothing was measured on: {}.").format(", ".join(bare)))
         said = [rpt_("{} sheets and elevations.pdf are in {}.").format(len(self._plan.elevations), folder)]

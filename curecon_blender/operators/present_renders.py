@@ -30,6 +30,7 @@ The film shows the camera move that the scene looks through, or else a turntable
     def done(self, scene: bpy.types.Scene, folder: Path) -> str:
         stills = [shot for shot in self._shots if shot.frames == 1]
         showreel.write_contact_sheet(stills, folder, rendering.title_of(scene), rendering.today())
+        self.sheet = folder / "contact_sheet.png"
         if len(stills) == len(self._shots):
             self.report({"WARNING"}, "This Blender was built without FFmpeg and makes no films.")
             return rpt_("{} stills and a contact sheet are in {}.").format(len(stills), folder)

@@ -13,7 +13,7 @@ from bpy.app.translations import pgettext_rpt as rpt_
 from ..core.base.errors import CuReconError, WorkspaceError
 from ..core.photos import capture
 from ..core.present import sun
-from ..scene import daylight, render_scene, site
+from ..scene import daylight, render_scene, site, viewport
 from . import paths, running
 
 
@@ -36,6 +36,8 @@ Press again after a change of the settings"""
         except CuReconError as error:
             self.report({"ERROR"}, running.explain(error))
             return {"CANCELLED"}
+        if not viewport.shows_lamps(context):
+            said = rpt_("{} To see it, press Z over the viewport and choose Rendered.").format(said)
         self.report({level}, said)
         return {"FINISHED"}
 

@@ -13,7 +13,7 @@ import bpy
 
 from ..core.base.errors import CuReconError, WorkspaceError
 from ..core.base.files import PRESENTATION, disk_errors
-from ..scene import render_scene, site
+from ..scene import pictures, render_scene, site
 from . import paths, running
 
 POLL_SECONDS = 0.2
@@ -64,6 +64,7 @@ class RenderSeries:
     # Blender's, of the operator that this is mixed into:
     report: Callable[[set[str], str], None]
     poll_message_set: Callable[..., None]
+    sheet: Path | None = None  # set by `done`: the finished page, to be seen in place of the last render
     _timer: bpy.types.Timer | None = None
 
     @classmethod
@@ -165,6 +166,8 @@ class RenderSeries:
     def _finish(self, context: bpy.types.Context) -> set[str]:
         self._close(context)
         self.report({"INFO"}, self.done(bpy.data.scenes[self._scene_name], self._folder))
+        if self.sheet is not None:
+            pictures.replace_render(context, self.sheet)
         return {"FINISHED"}
 
     def _close(self, context: bpy.types.Context) -> None:

@@ -124,6 +124,8 @@ class CURECON_PT_present_output(_Part, bpy.types.Panel):
         if (missing := render_scene.missing(context.scene)):
             paragraph(layout, context, missing, icon="ERROR")
         layout.prop(present, "title", placeholder="The workspace's name")
+        layout.prop(context.scene.curecon, "credit")
+        layout.prop(context.scene.curecon, "licence")
         layout.prop(present, "folder", placeholder="In the workspace")
         layout.operator("curecon.render_showreel", icon="RENDER_ANIMATION")
         layout.operator("curecon.open_presentation", icon="FILE_FOLDER")

@@ -5,15 +5,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from datetime import datetime
 from math import ceil, degrees
 from pathlib import Path
 
 import bpy
 import numpy as np
 
+from ..core.adjust.record import ACCURACY_FILE, read_accuracy, rms
 from ..core.present import sheet, sheet_files
 from ..core.present.sheet import Drawing
+from ..core.site.measuring import SHOWN
 from . import render_scene, site, surface
+from .frame import Part
 from .lettering import letters
 
 BARE = 0.1  # share of a drawing with anything on it, below which its side counts as not measured
@@ -77,7 +81,35 @@ def plan(scene: bpy.types.Scene, stage: bpy.types.Scene, folder: Path) -> Plan:
     return Plan(elevations=tuple(made), round=about.round, scale=scale, pixels_per_mm=pixels_per_mm)
 
 
-def write_sheets(made: Plan, folder: Path, title: str, date: str) -> list[str]:
+def notes(scene: bpy.types.Scene, times: dict[str, datetime]) -> str:
+    """What the sheets of a site rest on, in one line: when its photos were taken (`times`), by whom and under which
+    licence, its axes, and how exact it is."""
+    properties, known, part = scene.curecon, site.known(scene), site.part(scene)
+    days = sorted({f"{time:%Y-%m-%d}" for time in times.values()})
+    said = [f"Photos of {days[0]}" + (f" to {days[-1]}" if len(days) > 1 else "") if days else "Photos without a date"]
+    if properties.credit:
+        said.append(" ".join(f"Surveyed by {properties.credit}".split()))
+    if properties.licence:
+        said.append(properties.licence)
+    said.append(f"Axes of the site: {'Y north' if known.north else 'Y free'}, Z up")
+    if part is not None:
+        said.append(_exactness(part))
+    return "  ·  ".join(said)
+
+
+def _exactness(part: Part) -> str:
+    """By check points where there are any, else by what the scale rests on."""
+    if (part.folder / ACCURACY_FILE).is_file() and (check := read_accuracy(part.folder).check):
+        plan, height = (1000 * off for off in rms(check))
+        points = "1 check point" if len(check) == 1 else f"{len(check)} check points"
+        return f"{points}: {plan:.0f} mm in plan and {height:.0f} mm in height (rms)"
+    if not part.scale_source:
+        return "Scale unknown"
+    sigma = part.scale_sigma
+    return f"Scale from {part.scale_source}" + (f", ± {SHOWN * 100 * sigma:.2g} %" if sigma is not None else "")
+
+
+def write_sheets(made: Plan, folder: Path, title: str, date: str, noted: str = "") -> list[str]:
     """Turn each render into its sheet, in its place, and write all as one PDF; returns the names of those on which
     there is next to nothing. Raises WorkspaceError."""
     sheets, bare = [], []
@@ -88,6 +120,7 @@ def write_sheets(made: Plan, folder: Path, title: str, date: str) -> list[str]:
         drawing = Drawing(
             pixels=pixels, pixels_per_mm=made.pixels_per_mm, title=title,
             name=elevation.name, date=date, scale=made.scale, orientation=elevation.orientation, north=elevation.north,
+            notes=noted,
         )
         sheets.append(sheet.lay_out(drawing, letters))
         sheet_files.write_png(elevation.shot.file, sheets[-1], made.pixels_per_mm)

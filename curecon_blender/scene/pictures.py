@@ -22,6 +22,19 @@ def show(context: bpy.types.Context, path: Path) -> None:
     _image_editor(context).image = picture
 
 
+def replace_render(context: bpy.types.Context, path: Path) -> None:
+    """Show a picture where the last render is seen, in whichever windows that is."""
+    seen = [area.spaces.active for window in context.window_manager.windows for area in window.screen.areas
+            if area.type == "IMAGE_EDITOR" and area.spaces.active.image is not None
+            and area.spaces.active.image.type == "RENDER_RESULT"]
+    if not seen:
+        return
+    picture = bpy.data.images.load(str(path), check_existing=True)
+    picture.reload()  # an earlier one may have been of the same name
+    for editor in seen:
+        editor.image = picture
+
+
 def _image_editor(context: bpy.types.Context) -> bpy.types.SpaceImageEditor:
     windows = context.window_manager.windows
     for window in windows:

@@ -15,7 +15,7 @@ from ..core.base.ground import LEVEL, lowest_wide_level
 from ..core.site import footprint
 from ..core.site.adjustment import FrameError
 from . import points, surface
-from .frame import ADJUSTED_KEY, world_matrix
+from .frame import ADJUSTED_KEY, Part, parts_of, world_matrix
 from .surface import is_surface, surfaces_of
 from .workspace import WORKSPACE_KEY, clouds_of
 
@@ -117,6 +117,13 @@ def known(scene: bpy.types.Scene) -> Known:
         scale_source=holder.get("scale_source", ""), north=bool(holder["north"]),
         origin=origin, note=holder.get("note", ""),
     )
+
+
+def part(scene: bpy.types.Scene) -> Part | None:
+    """The part that holds what is presented."""
+    item = subject(scene)
+    return next((found for found in parts_of(scene) if item is not None and item.name in found.collection.all_objects),
+                None)
 
 
 def workspace(scene: bpy.types.Scene) -> str:

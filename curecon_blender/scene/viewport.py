@@ -149,6 +149,13 @@ def show_texture(context: bpy.types.Context, *, textured: bool) -> None:
             shading.color_type = "TEXTURE" if textured else "VERTEX"
 
 
+def shows_lamps(context: bpy.types.Context) -> bool:
+    """Whether a viewport of the window shows the scene's lamps and sky; without a window nobody is looking."""
+    found = _shadings(context)
+    return not found or any(
+        shading.type == "RENDERED" or (shading.type == "MATERIAL" and shading.use_scene_lights) for shading in found)
+
+
 def light(context: bpy.types.Context, by_scene: bool) -> None:
     """Let Solid shading light what it shows, or show colours as they are; a matcap that the user chose stays."""
     for shading in _shadings(context):

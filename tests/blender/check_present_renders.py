@@ -4,10 +4,12 @@
 
 from __future__ import annotations
 
+import json
 import re
 import struct
 import sys
 import zlib
+from dataclasses import asdict
 from pathlib import Path
 
 import bpy
@@ -16,7 +18,10 @@ import surface_scene
 import workspace_scene
 
 import curecon_blender
+from curecon_blender.core.adjust import record
+from curecon_blender.core.photos import capture
 from curecon_blender.operators import rendering
+from curecon_blender.scene import elevations
 
 FOLDER, OUT = Path(sys.argv[1]), Path(sys.argv[1]) / "out"
 
@@ -133,6 +138,18 @@ try:
     east = pages[1][2][pages[1][2].shape[0] // 2]
     assert np.allclose(east[20], surface_scene.QUARTERS[1] / 255, atol=0.02), east[20]
     assert np.allclose(east[-20], surface_scene.QUARTERS[3] / 255, atol=0.02), east[-20]
+
+    # A sheet says when its photos were taken, by whom, under which licence, in which axes, and how exact it is.
+    workspace_scene.tell_times(
+        FOLDER / "metres", {"DJI_0001.JPG": "2024-09-28T10:48:00", "b.jpg": "2024-09-29T09:00:00"})
+    scene.curecon.credit, scene.curecon.licence = "Wang Li\nand Co", "CC BY 4.0"
+    noted = elevations.notes(scene, capture.read_times(FOLDER / "metres"))
+    assert noted == ("Photos of 2024-09-28 to 2024-09-29  ·  Surveyed by Wang Li and Co  ·  CC BY 4.0  ·  "
+                     "Axes of the site: Y north, Z up  ·  Scale from the given model"), noted
+    off = record.PointResidual(name="c1", off=(0.012, 0.0, -0.03), marks=5, pixels=0.4)
+    accuracy = record.Accuracy(adjusted=True, reprojection_error=0.5, check=(off,))
+    (FOLDER / "metres" / "sparse" / "0" / record.ACCURACY_FILE).write_text(json.dumps(asdict(accuracy)))
+    assert "1 check point: 12 mm in plan and 30 mm in height" in elevations.notes(scene, {})
 
     # A quarter turn swaps the sides; a larger scale wants a larger paper; too large a one is an error in words. In a
     # dark scene, too, sheets are drawn in the photos' light, and the surface takes the scene's again.

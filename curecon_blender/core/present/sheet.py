@@ -56,7 +56,7 @@ class Drawing:
 
     `pixels_per_mm` holds on the paper. `scale` is the denominator, 100 for 1:100; None when the scale is unknown.
     `north` is where north points on a plan, degrees clockwise from the sheet's top; None on façades and where north is
-    unknown. `orientation` says in words which way the drawing faces.
+    unknown. `orientation` says in words which way the drawing faces, `notes` what the drawing rests on.
     """
 
     pixels: np.ndarray
@@ -67,6 +67,7 @@ class Drawing:
     scale: int | None
     orientation: str
     north: float | None = None
+    notes: str = ""
 
     @property
     def size(self) -> tuple[float, float]:
@@ -127,6 +128,8 @@ def lay_out(drawing: Drawing, letters: Letters) -> Sheet:
     _write(sheet, letters, known, end, base + 2.5, 3.6, align=1, most=words)
     turn = f"{drawing.orientation}  ·  {drawing.date}"
     _write(sheet, letters, turn, end, base - 5.5, 2.8, align=1, most=words)
+    if drawing.notes:
+        _write(sheet, letters, drawing.notes, left + 4, MARGIN + 1.8, 2.0, most=right - left - 8, colour=GREY)
     return sheet
 
 
