@@ -1,14 +1,10 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The adjust stage: the mapper's components in, the same in the site frame out, adjusted with all that is known.
-
-A flight straight down at one height hardly tells the focal length from the height, and bends where the lens's
-distortion is not known: what it does not determine stays with what the maker measured.
-"""
+"""The adjust stage: the mapper's components in, the same in the site frame out, adjusted with all that is known."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,13 +13,13 @@ import numpy as np
 import pycolmap
 
 from ..base.messages import Reporter
-from ..base.records import Frame, Photo, PhotoSet
+from ..base.records import Frame, GeoPosition, Photo, PhotoSet
 from ..sparse.models import ADJUSTED, MAPPED, find_models, listed, read_model, write_components
-from ..sparse.placement import BENT, Placement, place
+from ..sparse.placement import BENT, middle_on_the_ground, place
 from ..sparse.record import FRAME_FILE, read_frame
-from .bundle import adjust
-from .conversion import registered, to_bundle, write_back
-from .priors import calibrations, gps_positions
+from .bundle import LENS_PARAMETERS, Bundle, adjust, fit_points, posterior_sigmas
+from .conversion import registered, started, to_bundle, write_back
+from .priors import FOCAL, MAKER, NOTHING, gps_positions, lens_priors
 from .record import ACCURACY_FILE, Accuracy, PhotoResidual
 
 CONTRADICTS = 15.0, 10.0  # metres, times the median: a photo farther than both from its GPS is named
@@ -32,7 +28,15 @@ ALONG, FEWEST_ALONG = 0.9, 2
 MOST_PHOTOS = 1500  # the reduced system is a full matrix: 0.7 GB, and some copies of it
 # Beyond these a calibration is not this camera's: times the mapper's reprojection error, sigmas of the focal length.
 WORSE, CONTRADICTED = 2.0, 5.0
-_HELD = 1e-9  # of a lens that is held fast
+# Of its prior sigma: a lens parameter that the flight leaves more open than so stays at its prior. The focal length has
+# to be determined better: what a flight at one height tells of it, all that is systematic tells as well.
+UNDETERMINED, UNDETERMINED_FOCAL = 0.7, 0.3
+SIGNIFICANT = 3.0  # sigmas; a third radial term that nobody measured has to differ from none by so many
+SEEN_BY_MANY, _KEPT_BACK = 4, 5  # photos of a point; every so many of these points have an observation kept back
+_HELD = 1e-9  # of what is held fast
+_ROUGHLY = 1e-3  # of the cost: enough where one only has to come near
+_FREE_AT_FIRST = [LENS_PARAMETERS.index(name) for name in ("k1", "k2", "p1", "p2")]
+_K3 = LENS_PARAMETERS.index("k3")
 
 
 def adjust_cameras(photo_set: PhotoSet, workspace: Path, reporter: Reporter) -> list[Frame]:
@@ -50,10 +54,14 @@ def adjust_cameras(photo_set: PhotoSet, workspace: Path, reporter: Reporter) -> 
         reporter.progress(index, len(folders))
         model = read_model(folder)
         if (folder / FRAME_FILE).is_file():
-            frame = read_frame(folder)
-            accuracy = _accuracy(model, photos, frame, adjusted=False)
+            frame, adjusted = read_frame(folder), False
         else:
-            frame, accuracy = _placed(model, photos, index, reporter)
+            frame, adjusted = place_and_adjust(model, photos, reporter)
+            _warn_of_gps(frame, _gps_residuals(model, photos, frame), model.num_reg_images(), index, reporter)
+        accuracy = Accuracy(
+            adjusted=adjusted, reprojection_error=model.compute_mean_reprojection_error(),
+            gps=_gps_residuals(model, photos, frame),
+        )
         components.append((model, {FRAME_FILE: frame, ACCURACY_FILE: accuracy}))
         frames.append(frame)
     write_components(workspace, ADJUSTED, components)
@@ -61,69 +69,111 @@ def adjust_cameras(photo_set: PhotoSet, workspace: Path, reporter: Reporter) -> 
     return frames
 
 
-def _placed(
-    model: pycolmap.Reconstruction, photos: Mapping[str, Photo], index: int, reporter: Reporter
-) -> tuple[Frame, Accuracy]:
-    """Bring a mapped model into the site frame, in place, adjusted where that can be."""
+def place_and_adjust(
+    model: pycolmap.Reconstruction, photos: Mapping[str, Photo], reporter: Reporter
+) -> tuple[Frame, bool]:
+    """Bring a mapped model into the site frame, in place, and adjust it. Returns its frame, and whether it could be
+    adjusted."""
     placement = place(model, photos)
     model.transform(placement.site_from_model)
-    adjusted = adjust_model(model, photos, placement.frame, reporter)
-    if adjusted:
-        placement = place(model, photos)
-        model.transform(placement.site_from_model)
-    _warn_of_gps(placement, model.num_reg_images(), index, reporter)
-    return placement.frame, _accuracy(model, photos, placement.frame, adjusted=adjusted)
+    frame = placement.frame
+    adjusted = adjust_model(model, photos, frame.origin, reporter)
+    if not adjusted:
+        return frame, False
+    again = place(model, photos)
+    if frame.up != "gps" or again.frame.up != "gps" or frame.origin is None or frame.origin.altitude is None:
+        model.transform(again.site_from_model)
+        return again.frame, True
+    # GPS with its sigmas and all else have put it in its place; but for the ground, whose height has changed.
+    level = float(middle_on_the_ground(np.array([point.xyz for point in model.points3D.values()]))[2])
+    model.transform(pycolmap.Sim3d(1.0, pycolmap.Rotation3d(), np.array([0.0, 0.0, -level])))
+    return replace(again.frame, origin=replace(frame.origin, altitude=frame.origin.altitude + level)), True
 
 
-def _accuracy(
-    model: pycolmap.Reconstruction, photos: Mapping[str, Photo], frame: Frame, *, adjusted: bool
-) -> Accuracy:
+def _gps_residuals(
+    model: pycolmap.Reconstruction, photos: Mapping[str, Photo], frame: Frame
+) -> tuple[PhotoResidual, ...]:
+    images = registered(model)
+    known, sigmas = gps_positions([photos[image.name] for image in images], frame.origin)
     residuals = []
-    if frame.origin is not None:
-        images = registered(model)
-        known, sigmas = gps_positions([photos[image.name] for image in images], frame.origin)
-        for image, place, sigma in zip(images, known, sigmas, strict=True):
-            if np.isfinite(sigma).all():
-                east, north, up = (image.projection_center() - place).tolist()
-                residuals.append(PhotoResidual(name=image.name, off=(east, north, up)))
-    return Accuracy(
-        adjusted=adjusted, reprojection_error=model.compute_mean_reprojection_error(), gps=tuple(residuals)
-    )
+    for image, position, sigma in zip(images, known, sigmas, strict=True):
+        if np.isfinite(sigma[0]):
+            east, north, up = np.where(np.isfinite(sigma), image.projection_center() - position, 0.0).tolist()
+            residuals.append(PhotoResidual(name=image.name, off=(east, north, up)))
+    return tuple(residuals)
 
 
 def adjust_model(
-    model: pycolmap.Reconstruction, photos: Mapping[str, Photo], frame: Frame, reporter: Reporter
+    model: pycolmap.Reconstruction, photos: Mapping[str, Photo], origin: GeoPosition | None, reporter: Reporter
 ) -> bool:
     """Adjust a model in the site frame, in place. Its cameras are FULL_OPENCV afterwards.
 
-    False where the model stays: its frame is not by GPS, or not every lens was calibrated by its maker. The user is
-    told where a calibration does not fit the photos, or the photos are too many. Raises Cancelled.
+    False where the model stays as it is: where nothing but the photos themselves is known, and the adjustment predicts
+    observations that were kept from it no better than the mapper does. The user is told where a calibration does not
+    fit the photos, or the photos are too many. Raises Cancelled.
     """
-    lenses = calibrations(registered(model), photos)
-    if frame.origin is None or not frame.north or lenses is None:
-        return False
     if model.num_reg_images() > MOST_PHOTOS:
         reporter.warning(
-            f"The maker's calibration of the camera is not used: that is for up to {MOST_PHOTOS:,} photos. Heights may "
-            "be wrong if all photos look straight down from one height."
+            f"The cameras are those of the mapper, not adjusted to GPS and calibration: that is for up to "
+            f"{MOST_PHOTOS:,} photos. Heights may be wrong if all photos look straight down from one height."
         )
         return False
-    mapped = model.compute_mean_reprojection_error()
-    bundle, progress = to_bundle(model, photos, frame.origin, lenses), reporter.check_cancelled
-    # First with the lens as calibrated, from where it puts the cameras: from a wrong focal length the way is long.
-    held = adjust(replace(bundle, lens_sigmas=np.full_like(bundle.lens_sigmas, _HELD)), progress)
-    freed = replace(held, lens_sigmas=bundle.lens_sigmas, position_sigmas=bundle.position_sigmas)
-    adjusted = adjust(freed, progress)
-    off = float(np.median(np.linalg.norm(adjusted.residuals(), axis=1)))
-    focal = np.abs(adjusted.lenses - bundle.known_lenses)[:, 0] / bundle.lens_sigmas[:, 0]
-    if not off < WORSE * mapped or focal.max() > CONTRADICTED:
-        reporter.warning(
-            "The maker's calibration of the camera does not fit the photos and is not used: it is another lens's, or "
-            "the pictures were edited. Heights may be wrong if all photos look straight down from one height."
-        )
+    for best in (MAKER, FOCAL, NOTHING):
+        lenses = lens_priors(model, photos, best)
+        sources = [lens.source for lens in lenses.values()]
+        if best not in sources:
+            continue
+        mapped = to_bundle(model, photos, lenses, origin)
+        kept_back = _kept_back(mapped)
+        adjusted = _adjusted(mapped.without(kept_back), sources, reporter.check_cancelled)
+        error = _error(adjusted, mapped, kept_back)
+        mappers = _error(fit_points(mapped.without(kept_back)), mapped, kept_back)
+        focal = np.abs(adjusted.lenses - mapped.known_lenses)[:, 0] / mapped.lens_sigmas[:, 0]
+        if error < WORSE * mappers and (best == NOTHING or focal.max() < CONTRADICTED):
+            break
+        if best == MAKER:
+            reporter.warning(
+                "The maker's calibration of the camera does not fit the photos and is not used: it is another lens's, "
+                "or the pictures were edited. Heights may be wrong if all photos look straight down from one height."
+            )
+    if error > (mappers if origin is None else WORSE * mappers):
         return False
-    write_back(adjusted, model)
+    write_back(adjust(adjusted.observing(mapped), reporter.check_cancelled, _ROUGHLY), model)
     return True
+
+
+def _kept_back(bundle: Bundle) -> np.ndarray:
+    """(M,) one observation each of some points that many photos see, kept from the adjustment to judge it by."""
+    chosen = np.flatnonzero(np.diff(bundle.starts) >= SEEN_BY_MANY)[::_KEPT_BACK]
+    kept = np.zeros(len(bundle.photo), bool)
+    kept[bundle.starts[chosen] + np.arange(len(chosen)) % SEEN_BY_MANY] = True
+    return kept
+
+
+def _error(bundle: Bundle, observed: Bundle, kept_back: np.ndarray) -> float:
+    """Median distance in pixels of the observations kept back from where the bundle has their points."""
+    return float(np.median(np.linalg.norm(bundle.observing(observed).residuals(), axis=1)[kept_back]))
+
+
+def _adjusted(mapped: Bundle, sources: list[str], progress: Callable[[], None]) -> Bundle:
+    """A mapped bundle adjusted; what it does not determine of its lenses stays as it is known beforehand."""
+    known = np.array([source == MAKER for source in sources])
+    sigmas = mapped.lens_sigmas
+    first = np.full_like(sigmas, _HELD)
+    first[:, _FREE_AT_FIRST] = np.where(known[:, None], _HELD, sigmas[:, _FREE_AT_FIRST])
+    bundle = adjust(replace(started(mapped, sources), lens_sigmas=first), progress, _ROUGHLY)
+    bundle = adjust(_restated(bundle, mapped, sigmas), progress, _ROUGHLY)
+    left_open = posterior_sigmas(bundle)
+    held = left_open > np.where(np.arange(len(LENS_PARAMETERS)) == 0, UNDETERMINED_FOCAL, UNDETERMINED) * sigmas
+    held[:, _K3] |= ~known & (np.abs(bundle.lenses[:, _K3]) < SIGNIFICANT * left_open[:, _K3])
+    bundle = _restated(bundle, mapped, np.where(held, _HELD, sigmas))
+    return adjust(replace(bundle, lenses=np.where(held, mapped.known_lenses, bundle.lenses)), progress)
+
+
+def _restated(bundle: Bundle, mapped: Bundle, lens_sigmas: np.ndarray) -> Bundle:
+    """The bundle with the sigmas of before it was adjusted, and these of its lenses."""
+    return replace(bundle, position_sigmas=mapped.position_sigmas, control_sigmas=mapped.control_sigmas,
+                   lens_sigmas=lens_sigmas)
 
 
 def _warn_of_gps(placement: Placement, photos: int, index: int, reporter: Reporter) -> None:

@@ -20,11 +20,13 @@ from .bundle_cpu import LENS, POSE
 
 # f in pixels, fy / fx, cx, cy in pixels, and OpenCV's distortion.
 LENS_PARAMETERS = ("f", "aspect", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+TOGETHER = 3.0  # by which the sigmas of observations are too small for what all of them tell together
 MOST_STEPS = 60
 CONVERGED = 1e-5  # relative change of the cost
 _LEAST_SIGMA = 0.25  # pixels; no feature is found more exactly
 CAUCHY = 2.0  # sigmas of a residual from where on it counts less and less
 _EASE = 5.0  # by which control's sigmas fall from step to step until they are as stated
+_SETTLING = 5  # steps of the similarity
 _LEAST_DAMPING, _MOST_DAMPING = 1e-12, 1e6
 
 
@@ -35,10 +37,10 @@ class Bundle:
     `rotations` (N,3,3) cam_from_world and `centres` (N,3) of the photos, `lens_of` (N,) the lens of each; `lenses`
     (L,9) by LENS_PARAMETERS; `points` (P,3). Observations are sorted by point: `photo`, `point` (M,), `pixels` (M,2).
 
-    Known with its sigma, infinite where it is not: `positions` (N,3); `attitudes` (N,3,3) cam_from_world with one sigma
-    (N,) in radians; `known_lenses` (L,9). Control: `control` (C,) are the numbers of points whose place is known,
-    `control_positions` and `control_sigmas` (C,3); their marks are observations like others. `observation_sigmas` (M,)
-    in pixels are of one coordinate; nan, or the field None, where the residuals tell.
+    Known with its sigma, infinite where it is not: `positions` (N,3), `receivers` (N,) the kind of each or None for one kind; `attitudes`
+    (N,3,3) cam_from_world with one sigma (N,) in radians; `known_lenses` (L,9). Control: `control` (C,) are the numbers
+    of points whose place is known, `control_positions` and `control_sigmas` (C,3); their marks are observations like
+    others. `observation_sigmas` (M,) in pixels are of one coordinate; nan, or the field None, where the residuals tell.
     """
 
     rotations: np.ndarray
@@ -59,6 +61,7 @@ class Bundle:
     control_positions: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     control_sigmas: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     observation_sigmas: np.ndarray | None = None
+    receivers: np.ndarray | None = None
 
     @property
     def starts(self) -> np.ndarray:
@@ -69,6 +72,17 @@ class Bundle:
     def control_off(self) -> np.ndarray:
         """(C,3) metres from each control point to where it is known to lie."""
         return self.control_positions - self.points[self.control]
+
+    def without(self, observations: np.ndarray) -> Bundle:
+        """The bundle without some of its observations (M,)."""
+        told = None if self.observation_sigmas is None else self.observation_sigmas[~observations]
+        return replace(self, photo=self.photo[~observations], point=self.point[~observations],
+                       pixels=self.pixels[~observations], observation_sigmas=told)
+
+    def observing(self, other: Bundle) -> Bundle:
+        """The bundle with the observations of another."""
+        return replace(self, photo=other.photo, point=other.point, pixels=other.pixels,
+                       observation_sigmas=other.observation_sigmas)
 
     def sigmas(self) -> np.ndarray:
         """(M,) of one coordinate of each observation, pixels."""
@@ -82,8 +96,11 @@ class Bundle:
         ))
 
 
-def adjust(bundle: Bundle, progress: Callable[[], None] = lambda: None) -> Bundle:
-    """Adjust everything in a bundle. `progress` is called at each step, and may raise to end it.
+def adjust(
+    bundle: Bundle, progress: Callable[[], None] = lambda: None, converged: float = CONVERGED
+) -> Bundle:
+    """Adjust everything in a bundle until a step gains less than the share `converged` of the cost. `progress` is
+    called at each step, and may raise to end it.
 
     Observations and positions count less the farther they are off (Cauchy), so that outliers do not pull; and no
     position's sigma is taken for less than the residuals show it to be. Control pulls harder from step to step, or its
@@ -91,7 +108,7 @@ def adjust(bundle: Bundle, progress: Callable[[], None] = lambda: None) -> Bundl
     """
     damping, steps = 1e-6, 0
     stated, ease = bundle, float(np.abs(bundle.control_off).max(initial=0.0))
-    bundle, sigmas = _weighed(bundle, stated, ease), bundle.sigmas()
+    bundle, sigmas = settled(_weighed(bundle, stated, ease)), bundle.sigmas()
     cost = _cost(bundle, sigmas)
     while steps < MOST_STEPS and damping < _MOST_DAMPING:
         progress()
@@ -108,11 +125,20 @@ def adjust(bundle: Bundle, progress: Callable[[], None] = lambda: None) -> Bundl
             damping *= 10
             continue
         gain, bundle, damping = (cost - new_cost) / cost, moved, max(damping / 10, _LEAST_DAMPING)
-        if gain < CONVERGED and not (ease > stated.control_sigmas).any():
+        if gain < converged and not (ease > stated.control_sigmas).any():
             break
         ease /= _EASE
-        bundle, sigmas = _weighed(bundle, stated, ease), bundle.sigmas()
+        bundle, sigmas = settled(_weighed(bundle, stated, ease)), bundle.sigmas()
         cost = _cost(bundle, sigmas)
+    return bundle
+
+
+def fit_points(bundle: Bundle) -> Bundle:
+    """The bundle with its points where their observations meet best, seen by the cameras as they are."""
+    still = np.zeros(POSE * len(bundle.centres) + LENS * len(bundle.lenses))
+    for _ in range(5):
+        _, _, blocks = _normal_equations(bundle, bundle.sigmas(), 1e-6)
+        bundle = _stepped(bundle, still, blocks)
     return bundle
 
 
@@ -120,12 +146,35 @@ def _weighed(bundle: Bundle, stated: Bundle, ease: float) -> Bundle:
     """The bundle with its positions' sigmas no smaller than the residuals show them to be, heights apart from plan, and
     those of its control no smaller than `ease` metres."""
     bundle = replace(bundle, control_sigmas=np.maximum(stated.control_sigmas, ease))
-    known = np.isfinite(stated.position_sigmas).all(axis=1)
-    if not known.any():
-        return bundle
-    off = np.abs(bundle.centres - bundle.positions)[known]
-    plan, height = np.median(np.hypot(off[:, 0], off[:, 1])) / 1.1774, np.median(off[:, 2]) / 0.6745
-    return replace(bundle, position_sigmas=np.maximum(stated.position_sigmas, np.array([plan, plan, height])))
+    known, least = np.isfinite(stated.position_sigmas), np.zeros_like(stated.position_sigmas)
+    off = np.abs(bundle.centres - bundle.positions)
+    # A similarity of the whole takes up some of them where they are few.
+    taken = np.sqrt(known.sum() / max(known.sum() - 7, 1))
+    receivers = np.zeros(len(known), int) if bundle.receivers is None else bundle.receivers
+    for kind in np.unique(receivers):
+        plan, height = (known[:, axis] & (receivers == kind) for axis in (0, 2))
+        if plan.any():
+            least[plan, :2] = taken * np.median(np.hypot(off[plan, 0], off[plan, 1])) / 1.1774
+        if height.any():
+            least[height, 2] = taken * np.median(off[height, 2]) / 0.6745
+    return replace(bundle, position_sigmas=np.maximum(stated.position_sigmas, least))
+
+
+def posterior_sigmas(bundle: Bundle) -> np.ndarray:
+    """(L,9) what the adjustment leaves open of each lens parameter, from the inverse of the reduced system.
+
+    Features err together, by what the lens's formula, the shutter and the matching have in common, so that they count
+    for less than their number says.
+    """
+    system, *_ = _normal_equations(bundle, bundle.sigmas() * TOGETHER, 0.0)
+    units = 1 / np.sqrt(np.maximum(np.diag(system), 1e-30))
+    scaled = system * np.outer(units, units)
+    scaled[np.diag_indices(len(system))] = 1 + 1e-10  # the datum, where nothing is known of it
+    lenses = np.arange(POSE * len(bundle.centres), len(system))
+    columns = np.zeros((len(system), len(lenses)))
+    columns[lenses, np.arange(len(lenses))] = 1
+    inverse = cho_solve(cho_factor(scaled), columns)[lenses, np.arange(len(lenses))]
+    return np.asarray((units[lenses] * np.sqrt(np.maximum(inverse, 0))).reshape(bundle.lenses.shape))
 
 
 def robust_sigma(bundle: Bundle) -> float:
@@ -151,11 +200,56 @@ def _loss(off: np.ndarray) -> float:
 
 def _cost(bundle: Bundle, sigmas: np.ndarray) -> float:
     observed = _loss(np.linalg.norm(bundle.residuals(), axis=1) / sigmas)
+    lenses = float(np.sum(((bundle.lenses - bundle.known_lenses) / bundle.lens_sigmas) ** 2))
+    return observed + lenses + _cost_of_datum(bundle)
+
+
+def _cost_of_datum(bundle: Bundle) -> float:
     positions = _loss(np.linalg.norm((bundle.centres - bundle.positions) / bundle.position_sigmas, axis=1))
     attitudes = _loss(np.linalg.norm(_turns(bundle), axis=1) / bundle.attitude_sigmas)
-    lenses = float(np.sum(((bundle.lenses - bundle.known_lenses) / bundle.lens_sigmas) ** 2))
-    control = float(np.sum((bundle.control_off / bundle.control_sigmas) ** 2))
-    return observed + positions + attitudes + lenses + control
+    return positions + attitudes + float(np.sum((bundle.control_off / bundle.control_sigmas) ** 2))
+
+
+def settled(bundle: Bundle) -> Bundle:
+    """The bundle moved as a whole, by the similarity that fits best to positions, control and attitudes.
+
+    It changes no residual of an observation, but is no straight line in the photos' turns and places: left to the
+    common steps, these would have to be short.
+    """
+    known = np.isfinite(bundle.position_sigmas[:, 0])
+    if known.sum() + len(bundle.control) < 3:
+        return bundle
+    for _ in range(_SETTLING):
+        middle = bundle.centres.mean(axis=0)
+        off = (bundle.positions - bundle.centres)[known]
+        weights = _weights(np.linalg.norm(off / bundle.position_sigmas[known], axis=1))
+        places = np.concatenate([bundle.centres[known], bundle.points[bundle.control]]) - middle
+        off = np.concatenate([off, bundle.control_off])
+        weights = np.concatenate([weights[:, None] / bundle.position_sigmas[known] ** 2, bundle.control_sigmas**-2.0])
+        # By a turn, a shift and the logarithm of the scale; a turn moves a place by turn x place.
+        x, y, z = places.T
+        nought = np.zeros_like(x)
+        cross = np.stack([nought, z, -y, -z, nought, x, y, -x, nought], axis=1).reshape(-1, 3, 3)
+        slopes = np.concatenate([cross, np.broadcast_to(np.eye(3), cross.shape), places[:, :, None]], axis=2)
+        system = np.einsum("nia,ni,nib->ab", slopes, weights, slopes)
+        gradient = np.einsum("nia,ni,ni->a", slopes, weights, off)
+        turns = _turns(bundle)
+        weights = _weights(np.linalg.norm(turns, axis=1) / bundle.attitude_sigmas) / bundle.attitude_sigmas**2
+        system[:3, :3] += np.einsum("nai,n,nib->ab", bundle.rotations.transpose(0, 2, 1), weights, bundle.rotations)
+        gradient[:3] += np.einsum("nia,n,ni->a", bundle.rotations, weights, turns)
+        units = 1 / np.sqrt(np.maximum(np.diag(system), 1e-30))
+        damped = system * np.outer(units, units) + 1e-9 * np.eye(7)
+        step = units * np.linalg.solve(damped, units * gradient)
+        turn, scale = Rotation.from_rotvec(step[:3]).as_matrix(), np.exp(step[6])
+        moved = replace(
+            bundle, rotations=bundle.rotations @ turn.T,
+            centres=scale * (bundle.centres - middle) @ turn.T + middle + step[3:6],
+            points=scale * (bundle.points - middle) @ turn.T + middle + step[3:6],
+        )
+        if not _cost_of_datum(moved) < _cost_of_datum(bundle):
+            break
+        bundle = moved
+    return bundle
 
 
 def _turns(bundle: Bundle) -> np.ndarray:

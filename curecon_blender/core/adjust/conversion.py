@@ -5,16 +5,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pycolmap
 
-from ..base import rotations
-from ..base.records import GeoPosition, Lens, Photo
+from ..base.records import GeoPosition, Photo
 from .bundle import LENS_PARAMETERS, Bundle
-from .priors import gps_positions, lens_sigmas
+from .priors import MAKER, LensPrior, gimbal_attitudes, gps_positions
 
-_GIMBAL_SIGMA = 3.0  # degrees
+_K1 = LENS_PARAMETERS.index("k1")
 
 
 def registered(model: pycolmap.Reconstruction) -> list[pycolmap.Image]:
@@ -23,10 +23,12 @@ def registered(model: pycolmap.Reconstruction) -> list[pycolmap.Image]:
 
 
 def to_bundle(
-    model: pycolmap.Reconstruction, photos: Mapping[str, Photo], origin: GeoPosition, lenses: Mapping[int, Lens]
+    model: pycolmap.Reconstruction, photos: Mapping[str, Photo], lenses: Mapping[int, LensPrior],
+    origin: GeoPosition | None,
 ) -> Bundle:
-    """A model in the frame of `origin` as a bundle, from the lenses (by camera id) that their maker measured."""
-    images, cameras = registered(model), sorted(lenses)
+    """A mapped model in the frame of `origin` as a bundle, as the mapper has it; `lenses` by camera id. Without an
+    origin nothing is known of places and attitudes."""
+    images = registered(model)
     number = {image.image_id: n for n, image in enumerate(images)}
     points, photo, point, pixels = [], [], [], []
     for p, point_id in enumerate(sorted(model.point3D_ids())):
@@ -36,35 +38,44 @@ def to_bundle(
             point.append(p)
             pixels.append(model.image(element.image_id).points2D[element.point2D_idx].xy)
     turns = np.array([image.cam_from_world().rotation.matrix() for image in images])
-    centres = np.array([image.projection_center() for image in images])
-    known = np.array([[getattr(lenses[camera], name) for name in LENS_PARAMETERS] for camera in cameras])
-    centres = _moved_back(centres, turns, np.array(points), np.array(photo), np.array(point), np.array([
-        lenses[image.camera_id].f / model.camera(image.camera_id).mean_focal_length() for image in images
-    ]))
-    positions, position_sigmas = gps_positions([photos[image.name] for image in images], origin)
-    off = np.where(np.isfinite(position_sigmas), positions - centres, np.nan)
-    shift = np.array([np.median(told[np.isfinite(told)]) if np.isfinite(told).any() else 0.0 for told in off.T])
-    gimbals = [photos[image.name].gimbal for image in images]
+    taken = [photos[image.name] for image in images]
+    positions, position_sigmas = gps_positions(taken, origin)
+    attitudes, attitude_sigmas = gimbal_attitudes(taken, turns) if origin else (turns, np.full(len(turns), np.inf))
+    cameras = sorted(lenses)
     return Bundle(
-        rotations=turns, centres=centres + shift, lens_of=np.array([cameras.index(i.camera_id) for i in images]),
-        lenses=known, points=np.array(points) + shift, photo=np.array(photo), point=np.array(point),
-        pixels=np.array(pixels), positions=positions, position_sigmas=position_sigmas,
-        attitudes=np.array([turn if gimbal is None else rotations.from_gimbal(gimbal).T
-                            for turn, gimbal in zip(turns, gimbals, strict=True)]),
-        attitude_sigmas=np.array([np.inf if gimbal is None else np.radians(_GIMBAL_SIGMA) for gimbal in gimbals]),
-        known_lenses=known, lens_sigmas=np.array([lens_sigmas(lenses[c], model.camera(c).width) for c in cameras]),
+        rotations=turns, centres=np.array([image.projection_center() for image in images]),
+        lens_of=np.array([cameras.index(image.camera_id) for image in images]),
+        lenses=np.array([_mapped_lens(model.camera(camera)) for camera in cameras]), points=np.array(points),
+        photo=np.array(photo), point=np.array(point), pixels=np.array(pixels),
+        positions=positions, position_sigmas=position_sigmas,
+        receivers=np.array([0 if one.gps_sigmas is None else 1 for one in taken]),
+        attitudes=attitudes, attitude_sigmas=attitude_sigmas,
+        known_lenses=np.array([lenses[camera].values for camera in cameras]),
+        lens_sigmas=np.array([lenses[camera].sigmas for camera in cameras]),
     )
 
 
-def _moved_back(
-    centres: np.ndarray, turns: np.ndarray, points: np.ndarray, photo: np.ndarray, point: np.ndarray,
-    longer: np.ndarray,
-) -> np.ndarray:
-    """Centres (N,3) along their cameras' axes to where a focal length so many times as long (N,) sees the same."""
-    axes = turns[:, 2]
-    depths = ((points[point] - centres[photo]) * axes[photo]).sum(axis=1)
-    typical = np.array([np.median(depths[photo == n]) if (photo == n).any() else 0.0 for n in range(len(centres))])
-    return np.asarray(centres - axes * ((longer - 1) * typical)[:, None])
+def _mapped_lens(camera: pycolmap.Camera) -> np.ndarray:
+    """(9,) of a lens as the mapper has them: SIMPLE_RADIAL."""
+    f, cx, cy, k1 = camera.params
+    return np.array([f, 1.0, cx, cy, k1, 0.0, 0.0, 0.0, 0.0])
+
+
+def started(bundle: Bundle, sources: list[str]) -> Bundle:
+    """A mapped bundle begun from what is known of its lenses: from a wrong focal length the way is long, in a narrow
+    curved valley. The cameras move back along their axes to where the known focal length sees the same."""
+    lenses = bundle.known_lenses.copy()
+    longer = lenses[:, 0] / bundle.lenses[:, 0]
+    for k, source in enumerate(sources):
+        if source != MAKER:
+            lenses[k, _K1] = bundle.lenses[k, _K1] * longer[k] ** 2
+    axes = bundle.rotations[:, 2]
+    depths = ((bundle.points[bundle.point] - bundle.centres[bundle.photo]) * axes[bundle.photo]).sum(axis=1)
+    typical = np.zeros(len(axes))
+    for n in np.unique(bundle.photo):
+        typical[n] = np.median(depths[bundle.photo == n])
+    back = (longer[bundle.lens_of] - 1) * typical
+    return replace(bundle, lenses=lenses, centres=bundle.centres - axes * back[:, None])
 
 
 def write_back(bundle: Bundle, model: pycolmap.Reconstruction) -> None:

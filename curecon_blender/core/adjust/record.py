@@ -19,7 +19,7 @@ _METRES = Annotated[float, Within(-FARTHEST, FARTHEST)]
 
 @dataclass(frozen=True, kw_only=True)
 class PhotoResidual:
-    """How far a photo's camera lies from its GPS: metres east, north and up."""
+    """How far a photo's camera lies from its GPS: metres east, north and up, 0 up where it tells no altitude."""
 
     name: Annotated[str, FILE_NAME]
     off: tuple[_METRES, _METRES, _METRES]

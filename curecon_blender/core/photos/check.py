@@ -167,7 +167,8 @@ def _examine(path: Path) -> Examined | SkippedPhoto:
         return SkippedPhoto(path=path, reason=error.message)
     photo = Photo(
         name=path.name, path=path, width=width, height=height,
-        camera=f"{told.camera or 'unknown camera'} {width}x{height}", focal_px=told.focal_px, lens=told.lens,
+        camera=f"{told.camera or 'unknown camera'} {width}x{height}", focal_px=told.focal_px,
+        focal_sigma=told.focal_sigma, centre_px=told.centre_px, lens=told.lens,
         gps=told.gps, gps_sigmas=told.gps_sigmas, gimbal=told.gimbal, relative_altitude=told.relative_altitude,
         time=told.time, sharpness=_sharpness(rgb),
         overexposed=bool((rgb.min(axis=2) >= WHITE).mean() >= OVEREXPOSED),

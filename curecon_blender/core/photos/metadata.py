@@ -22,6 +22,9 @@ from .xmp import read as read_xmp
 
 _RTK_FIXED = 50  # DJI's RtkFlag of a fixed solution
 _FILM_DIAGONAL = math.hypot(36, 24)  # mm
+# Sigmas of focal lengths as shares: measured by the maker for this camera; the design's; a 35 mm equivalent, which is
+# rounded to whole millimetres and counts by the sensor's diagonal or by its width.
+_MEASURED_SIGMA, _NOMINAL_SIGMA, _EQUIVALENT_SIGMA = 0.005, 0.02, 0.04
 _FOCAL_PLANE_UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # EXIF FocalPlaneResolutionUnit, in mm
 # Sensor widths in mm of the drone cameras whose files carry no 35 mm equivalent (makers' specifications).
 _SENSOR_WIDTHS = {
@@ -38,6 +41,8 @@ class Metadata:
     camera: str  # `body` with the 35 mm equivalent and the zoom: photos with the same share intrinsics
     body: str  # make, model, lens, focal length and serial number
     focal_px: float | None
+    focal_sigma: float | None
+    centre_px: tuple[float, float] | None
     zoom: float  # digital, of this picture; it may or may not be in focal_px
     lens: Lens | None
     gps_sigmas: tuple[float, float] | None
@@ -63,13 +68,16 @@ def from_image(image: Image.Image) -> Metadata:
     xmp = read_xmp(image.info.get("xmp"))
     model = text(main.get(ExifTags.Base.Model))
     body = _body(main, exif, model)
-    focal_px = _focal_px(exif, xmp.drone, model, *oriented_size(image))
+    focal_px, focal_sigma = _focal_px(exif, xmp.drone, model, *oriented_size(image))
+    upright = main.get(ExifTags.Base.Orientation, 1) == 1
     return Metadata(
         camera=(body + _as_set(exif)).strip(),
         body=body,
         focal_px=focal_px,
+        focal_sigma=focal_sigma,
+        centre_px=_optical_centre(exif, xmp.drone, image.size) if upright else None,
         zoom=_zoom(exif),
-        lens=_lens(xmp.drone, focal_px, image.size) if main.get(ExifTags.Base.Orientation, 1) == 1 else None,
+        lens=_lens(xmp.drone, focal_px, image.size) if upright else None,
         gps_sigmas=_gps_sigmas(xmp.drone),
         gps=position(gps, exif, xmp),
         gimbal=gimbal(xmp),
@@ -100,12 +108,13 @@ def _zoom(exif: Mapping[int, Any]) -> float:
     return zoom if 1 < zoom <= 100 else 1.0
 
 
-def _focal_px(exif: Mapping[int, Any], dji: Mapping[str, str], model: str, width: int, height: int) -> float | None:
-    """Focal length in pixels of this picture: the drone's own calibration, else EXIF's 35 mm equivalent, else the
-    focal length over the sensor's width."""
+def _focal_px(
+    exif: Mapping[int, Any], dji: Mapping[str, str], model: str, width: int, height: int
+) -> tuple[float, float] | tuple[None, None]:
+    """Focal length in pixels of this picture and its sigma as a share: the drone's own calibration, else EXIF's 35 mm
+    equivalent, else the focal length over the sensor's width."""
     longest, shortest = max(width, height), min(width, height)
-    # The picture as the camera took it, for tags that count its pixels: it may have been scaled down since.
-    taken = max(number(exif.get(tag)) or 0.0 for tag in (ExifTags.Base.ExifImageWidth, ExifTags.Base.ExifImageHeight))
+    taken = max(_taken(exif))
     equivalent = None
     if film := positive(exif.get(ExifTags.Base.FocalLengthIn35mmFilm)):
         # Makers give the equivalent by the diagonal of the whole sensor. Pictures at 16:9 are cropped from sensors
@@ -113,32 +122,52 @@ def _focal_px(exif: Mapping[int, Any], dji: Mapping[str, str], model: str, width
         sensor_height = 0.75 * longest if longest > 1.6 * shortest else shortest
         equivalent = film * math.hypot(longest, sensor_height) / _FILM_DIAGONAL
 
-    calibrated = _calibrated_focal(dji, longest, taken)
+    calibrated, sigma = _calibrated_focal(dji, longest, taken)
     if calibrated and equivalent and not 0.8 < calibrated / equivalent < 1.25:
         calibrated = None  # another lens's or zoom's, or the picture was cropped
-    candidates = [calibrated, equivalent]
+    candidates = [(calibrated, sigma), (equivalent, _EQUIVALENT_SIGMA)]
     if focal := positive(exif.get(ExifTags.Base.FocalLength)):
         resolution = positive(exif.get(ExifTags.Base.FocalPlaneXResolution))
         unit = _FOCAL_PLANE_UNITS.get(exif.get(ExifTags.Base.FocalPlaneResolutionUnit, 2))
         if resolution and unit:
-            candidates.append(focal * _zoom(exif) * resolution / unit * longest / (taken or longest))
+            candidates.append((focal * _zoom(exif) * resolution / unit * longest / (taken or longest), _NOMINAL_SIGMA))
         if model in _SENSOR_WIDTHS:
-            candidates.append(focal * _zoom(exif) * longest / _SENSOR_WIDTHS[model])
+            candidates.append((focal * _zoom(exif) * longest / _SENSOR_WIDTHS[model], _NOMINAL_SIGMA))
     # Beyond these (127 degrees of view, a 360 mm equivalent) it is a tag gone wrong.
-    plausible = (f for f in candidates if f is not None and 0.25 < f / longest < 10)
-    return next(plausible, None)
+    plausible = ((f, share) for f, share in candidates if f is not None and 0.25 < f / longest < 10)
+    return next(plausible, (None, None))
 
 
-def _calibrated_focal(dji: Mapping[str, str], longest: int, taken: float) -> float | None:
-    """The drone's calibration, in pixels of the picture as taken, brought to this picture's size."""
+def _taken(exif: Mapping[int, Any]) -> tuple[float, float]:
+    """Width and height of the picture as the camera took it, for tags that count its pixels: it may have been scaled
+    down since. 0 where it is not told."""
+    width, height = (number(exif.get(tag)) or 0.0 for tag in
+                     (ExifTags.Base.ExifImageWidth, ExifTags.Base.ExifImageHeight))
+    return width, height
+
+
+def _calibrated_focal(dji: Mapping[str, str], longest: int, taken: float) -> tuple[float | None, float]:
+    """The drone's calibration, in pixels of the picture as taken, brought to this picture's size; its sigma as a
+    share."""
     if centre := positive(dji.get("CalibratedOpticalCenterX", dji.get("CalibratedOpticalCenter/X"))):
         taken = 2 * centre
     scale = longest / taken if taken else 1.0
     dewarp = dji.get("DewarpData", "").partition(";")[2].split(",")  # date; fx, fy, cx, cy, k1...
     if len(dewarp) >= 9 and (fx := positive(dewarp[0])) and (fy := positive(dewarp[1])):
-        return scale * math.sqrt(fx * fy)
+        return scale * math.sqrt(fx * fy), _MEASURED_SIGMA
     calibrated = positive(dji.get("CalibratedFocalLength", dji.get("CalibratedFocalLength/X")))
-    return scale * calibrated if calibrated else None
+    return (scale * calibrated if calibrated else None), _NOMINAL_SIGMA
+
+
+def _optical_centre(
+    exif: Mapping[int, Any], dji: Mapping[str, str], size: tuple[int, int]
+) -> tuple[float, float] | None:
+    """The lens's centre that older DJI cameras tell beside their focal length, in pixels of this picture."""
+    centre, taken = [positive(dji.get(f"CalibratedOpticalCenter{axis}")) for axis in "XY"], _taken(exif)
+    shares = [place / length if place and length else 0.0 for place, length in zip(centre, taken, strict=True)]
+    if "DewarpData" in dji or not all(0.45 < share < 0.55 for share in shares):
+        return None
+    return shares[0] * size[0], shares[1] * size[1]
 
 
 def _lens(dji: Mapping[str, str], focal_px: float | None, size: tuple[int, int]) -> Lens | None:

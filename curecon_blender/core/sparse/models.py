@@ -187,7 +187,7 @@ def _check_written(model: pycolmap.Reconstruction, folder: Path) -> None:
         whole = False
     if not whole:
         raise WorkspaceError(
-            f"The sparse model could not be written whole to {folder.parent}.",
+            f"The sparse model could not be written whole to {folder.parent}: the disk is full or does not answer.",
             remedy="Free some space, then run it again: finished work is kept.", path=folder.parent,
         )
 
