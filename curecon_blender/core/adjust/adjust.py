@@ -15,7 +15,7 @@ import pycolmap
 from ..base.messages import Reporter
 from ..base.records import Frame, GeoPosition, Photo, PhotoSet
 from ..sparse.models import ADJUSTED, MAPPED, find_models, listed, read_model, write_components
-from ..sparse.placement import BENT, middle_on_the_ground, place
+from ..sparse.placement import BENT, middle_on_the_ground, place, with_residual
 from ..sparse.record import FRAME_FILE, read_frame
 from .bundle import LENS_PARAMETERS, Bundle, adjust, fit_points, posterior_sigmas
 from .conversion import registered, started, to_bundle, write_back
@@ -87,7 +87,9 @@ def place_and_adjust(
     # GPS with its sigmas and all else have put it in its place; but for the ground, whose height has changed.
     level = float(middle_on_the_ground(np.array([point.xyz for point in model.points3D.values()]))[2])
     model.transform(pycolmap.Sim3d(1.0, pycolmap.Rotation3d(), np.array([0.0, 0.0, -level])))
-    return replace(again.frame, origin=replace(frame.origin, altitude=frame.origin.altitude + level)), True
+    frame = replace(again.frame, origin=replace(frame.origin, altitude=frame.origin.altitude + level))
+    off = [np.linalg.norm(residual.off) for residual in _gps_residuals(model, photos, frame)]
+    return with_residual(frame, float(np.median(off))), True
 
 
 def _gps_residuals(

@@ -20,7 +20,7 @@ from .bundle_cpu import LENS, POSE
 
 # f in pixels, fy / fx, cx, cy in pixels, and OpenCV's distortion.
 LENS_PARAMETERS = ("f", "aspect", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
-TOGETHER = 3.0  # by which the sigmas of observations are too small for what all of them tell together
+TOGETHER = 3.0  # by which the sigmas of features are too small for what all of them tell together
 MOST_STEPS = 60
 CONVERGED = 1e-5  # relative change of the cost
 _LEAST_SIGMA = 0.25  # pixels; no feature is found more exactly
@@ -37,8 +37,8 @@ class Bundle:
     `rotations` (N,3,3) cam_from_world and `centres` (N,3) of the photos, `lens_of` (N,) the lens of each; `lenses`
     (L,9) by LENS_PARAMETERS; `points` (P,3). Observations are sorted by point: `photo`, `point` (M,), `pixels` (M,2).
 
-    Known with its sigma, infinite where it is not: `positions` (N,3), `receivers` (N,) the kind of each or None for one kind; `attitudes`
-    (N,3,3) cam_from_world with one sigma (N,) in radians; `known_lenses` (L,9). Control: `control` (C,) are the numbers
+    Known with its sigma, infinite where it is not: `positions` (N,3), of one kind, or of the kinds `receivers` (N,);
+    `attitudes` (N,3,3) cam_from_world with one sigma (N,) in radians; `known_lenses` (L,9). Control: `control` (C,) are the numbers
     of points whose place is known, `control_positions` and `control_sigmas` (C,3); their marks are observations like
     others. `observation_sigmas` (M,) in pixels are of one coordinate; nan, or the field None, where the residuals tell.
     """
@@ -161,12 +161,8 @@ def _weighed(bundle: Bundle, stated: Bundle, ease: float) -> Bundle:
 
 
 def posterior_sigmas(bundle: Bundle) -> np.ndarray:
-    """(L,9) what the adjustment leaves open of each lens parameter, from the inverse of the reduced system.
-
-    Features err together, by what the lens's formula, the shutter and the matching have in common, so that they count
-    for less than their number says.
-    """
-    system, *_ = _normal_equations(bundle, bundle.sigmas() * TOGETHER, 0.0)
+    """(L,9) what the adjustment leaves open of each lens parameter, from the inverse of the reduced system."""
+    system, *_ = _normal_equations(bundle, bundle.sigmas(), 0.0)
     units = 1 / np.sqrt(np.maximum(np.diag(system), 1e-30))
     scaled = system * np.outer(units, units)
     scaled[np.diag_indices(len(system))] = 1 + 1e-10  # the datum, where nothing is known of it
@@ -193,13 +189,21 @@ def _weights(off: np.ndarray) -> np.ndarray:
     return 1 / (1 + (off / CAUCHY) ** 2)
 
 
-def _loss(off: np.ndarray) -> float:
+def _counted(bundle: Bundle) -> np.ndarray:
+    """(M,) of how much each observation counts: less than its sigma says, where it is one of the many that err together
+    by what the lens's formula, the shutter and the matching have in common."""
+    if bundle.observation_sigmas is None:
+        return np.full(len(bundle.photo), TOGETHER**-2)
+    return np.where(np.isnan(bundle.observation_sigmas), TOGETHER**-2, 1.0)
+
+
+def _loss(off: np.ndarray, counted: np.ndarray | float = 1.0) -> float:
     """Cauchy's loss of distances (n,) in sigmas; a point behind a camera costs what one very far off does."""
-    return float(np.sum(CAUCHY**2 * np.log1p((np.minimum(off, 1e6) / CAUCHY) ** 2)))
+    return float(np.sum(counted * CAUCHY**2 * np.log1p((np.minimum(off, 1e6) / CAUCHY) ** 2)))
 
 
 def _cost(bundle: Bundle, sigmas: np.ndarray) -> float:
-    observed = _loss(np.linalg.norm(bundle.residuals(), axis=1) / sigmas)
+    observed = _loss(np.linalg.norm(bundle.residuals(), axis=1) / sigmas, _counted(bundle))
     lenses = float(np.sum(((bundle.lenses - bundle.known_lenses) / bundle.lens_sigmas) ** 2))
     return observed + lenses + _cost_of_datum(bundle)
 
@@ -264,7 +268,7 @@ def _normal_equations(
     photos, size = len(bundle.centres), POSE * len(bundle.centres) + LENS * len(bundle.lenses)
     system, gradient = np.zeros((size, size)), np.zeros(size)
     off = np.linalg.norm(bundle.residuals(), axis=1) / sigmas
-    weights = np.where(np.isfinite(off), _weights(off) / sigmas**2, 0.0)
+    weights = np.where(np.isfinite(off), _counted(bundle) * _weights(off) / sigmas**2, 0.0)
     known, toward = np.zeros_like(bundle.points), np.zeros_like(bundle.points)
     known[bundle.control], toward[bundle.control] = 1 / bundle.control_sigmas**2, bundle.control_off
     blocks = bundle_cpu.reduce(

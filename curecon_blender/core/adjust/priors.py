@@ -22,7 +22,7 @@ _DISTORTION_SIGMAS = {"k1": 0.01, "k2": 0.02, "p1": 0.0005, "p2": 0.0005, "k3": 
 # Of a lens of which at most the focal length is known, and of one of which that is not known either.
 _ANY_CENTRE, _ANY_DISTORTION = 0.01, {"k1": 0.3, "k2": 0.3, "p1": 0.003, "p2": 0.003, "k3": 0.3}
 _ANY_FOCAL = 0.5
-_GPS_SIGMAS = 0.3, 0.3  # metres in plan and height: no receiver without RTK is better; a worse one shows it
+_GPS_SIGMAS = 0.1, 0.1  # metres in plan and height: no receiver without RTK is better; a worse one shows it
 # Degrees. An error of the gimbal is common to all photos, so that they count together like one.
 _GIMBAL_SIGMA = 1.5
 
@@ -67,8 +67,8 @@ def _lens_prior(photos: Sequence[Photo], camera: pycolmap.Camera, best: str) -> 
 
 
 def gps_positions(photos: Sequence[Photo], origin: GeoPosition | None) -> tuple[np.ndarray, np.ndarray]:
-    """GPS (N,3) in metres east, north, up of the origin, and its sigmas (N,3), infinite where there is none, and for all
-    where no origin is known."""
+    """GPS (N,3) in metres east, north, up of the origin, and its sigmas (N,3), infinite where there is none, and
+    for all where no origin is known."""
     positions, sigmas = np.zeros((len(photos), 3)), np.full((len(photos), 3), np.inf)
     if origin is None:
         return positions, sigmas

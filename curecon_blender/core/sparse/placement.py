@@ -114,6 +114,12 @@ def _frame(fit: GpsFit, site: GeoPosition, gravity: Gravity, count: int, reach: 
     )
 
 
+def with_residual(frame: Frame, off: float) -> Frame:
+    """The frame of a fit to GPS, for cameras that now lie so far off it (metres, median)."""
+    note = frame.note.replace(f"{frame.gps_residual or 0:.2f} m off", f"{off:.2f} m off")
+    return replace(frame, gps_residual=off, note=note)
+
+
 def _lowered(site_from_model: pycolmap.Sim3d, model: pycolmap.Reconstruction) -> pycolmap.Sim3d:
     """With the ground of the site's middle at 0."""
     ground = np.array([0.0, 0.0, middle_on_the_ground(transformed(site_from_model, points_of(model)))[2]])
