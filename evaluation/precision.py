@@ -62,7 +62,7 @@ def site(photos: int, points: int, datum: str) -> Bundle:
         position_sigmas=np.tile(POSITION if datum == "gps" else np.full(3, np.inf), (photos, 1)),
         attitudes=rotations, attitude_sigmas=np.full(photos, np.inf if datum == "free" else ATTITUDE),
         known_lenses=LENS, lens_sigmas=LENS_SIGMAS, control=marked, control_positions=world[marked],
-        control_sigmas=np.tile(CONTROL, (len(marked), 1)),
+        control_sigmas=np.tile(CONTROL, (len(marked), 1)), together=1.0,  # the errors here have nothing in common
     )
 
 

@@ -15,7 +15,7 @@ import pycolmap
 from ..base.messages import Reporter
 from ..base.records import Frame, GeoPosition, Photo, PhotoSet
 from ..sparse.models import ADJUSTED, MAPPED, find_models, listed, read_model, write_components
-from ..sparse.placement import BENT, middle_on_the_ground, place, with_residual
+from ..sparse.placement import BENT, Placement, middle_on_the_ground, place, with_residual
 from ..sparse.record import FRAME_FILE, read_frame
 from .bundle import LENS_PARAMETERS, Bundle, adjust, fit_points, posterior_sigmas
 from .conversion import registered, started, to_bundle, write_back
@@ -56,8 +56,9 @@ def adjust_cameras(photo_set: PhotoSet, workspace: Path, reporter: Reporter) -> 
         if (folder / FRAME_FILE).is_file():
             frame, adjusted = read_frame(folder), False
         else:
-            frame, adjusted = place_and_adjust(model, photos, reporter)
-            _warn_of_gps(frame, _gps_residuals(model, photos, frame), model.num_reg_images(), index, reporter)
+            placement, adjusted = place_and_adjust(model, photos, reporter)
+            frame = placement.frame
+            _warn_of_gps(placement, model.num_reg_images(), index, reporter)
         accuracy = Accuracy(
             adjusted=adjusted, reprojection_error=model.compute_mean_reprojection_error(),
             gps=_gps_residuals(model, photos, frame),
@@ -71,25 +72,25 @@ def adjust_cameras(photo_set: PhotoSet, workspace: Path, reporter: Reporter) -> 
 
 def place_and_adjust(
     model: pycolmap.Reconstruction, photos: Mapping[str, Photo], reporter: Reporter
-) -> tuple[Frame, bool]:
-    """Bring a mapped model into the site frame, in place, and adjust it. Returns its frame, and whether it could be
+) -> tuple[Placement, bool]:
+    """Bring a mapped model into the site frame, in place, and adjust it. Returns its placement, and whether it could be
     adjusted."""
     placement = place(model, photos)
     model.transform(placement.site_from_model)
     frame = placement.frame
     adjusted = adjust_model(model, photos, frame.origin, reporter)
     if not adjusted:
-        return frame, False
+        return placement, False
     again = place(model, photos)
     if frame.up != "gps" or again.frame.up != "gps" or frame.origin is None or frame.origin.altitude is None:
         model.transform(again.site_from_model)
-        return again.frame, True
+        return again, True
     # GPS with its sigmas and all else have put it in its place; but for the ground, whose height has changed.
     level = float(middle_on_the_ground(np.array([point.xyz for point in model.points3D.values()]))[2])
     model.transform(pycolmap.Sim3d(1.0, pycolmap.Rotation3d(), np.array([0.0, 0.0, -level])))
     frame = replace(again.frame, origin=replace(frame.origin, altitude=frame.origin.altitude + level))
     off = [np.linalg.norm(residual.off) for residual in _gps_residuals(model, photos, frame)]
-    return with_residual(frame, float(np.median(off))), True
+    return replace(again, frame=with_residual(frame, float(np.median(off)))), True
 
 
 def _gps_residuals(

@@ -20,7 +20,7 @@ from .bundle_cpu import LENS, POSE
 
 # f in pixels, fy / fx, cx, cy in pixels, and OpenCV's distortion.
 LENS_PARAMETERS = ("f", "aspect", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
-TOGETHER = 3.0  # by which the sigmas of features are too small for what all of them tell together
+TOGETHER = 3.0  # features of one flight err in common: by the lens's formula, the shutter, the matching
 MOST_STEPS = 60
 CONVERGED = 1e-5  # relative change of the cost
 _LEAST_SIGMA = 0.25  # pixels; no feature is found more exactly
@@ -38,9 +38,10 @@ class Bundle:
     (L,9) by LENS_PARAMETERS; `points` (P,3). Observations are sorted by point: `photo`, `point` (M,), `pixels` (M,2).
 
     Known with its sigma, infinite where it is not: `positions` (N,3), of one kind, or of the kinds `receivers` (N,);
-    `attitudes` (N,3,3) cam_from_world with one sigma (N,) in radians; `known_lenses` (L,9). Control: `control` (C,) are the numbers
-    of points whose place is known, `control_positions` and `control_sigmas` (C,3); their marks are observations like
-    others. `observation_sigmas` (M,) in pixels are of one coordinate; nan, or the field None, where the residuals tell.
+    `attitudes` (N,3,3) cam_from_world with one sigma (N,) in radians; `known_lenses` (L,9). Control: `control` (C,) are
+    the numbers of points whose place is known, `control_positions` and `control_sigmas` (C,3); their marks are
+    observations like others. `observation_sigmas` (M,) in pixels are of one coordinate; nan, or the field None, where
+    the residuals tell, and then `together` is by how much they are too small for what all of them tell together.
     """
 
     rotations: np.ndarray
@@ -62,6 +63,7 @@ class Bundle:
     control_sigmas: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     observation_sigmas: np.ndarray | None = None
     receivers: np.ndarray | None = None
+    together: float = TOGETHER
 
     @property
     def starts(self) -> np.ndarray:
@@ -193,8 +195,8 @@ def _counted(bundle: Bundle) -> np.ndarray:
     """(M,) of how much each observation counts: less than its sigma says, where it is one of the many that err together
     by what the lens's formula, the shutter and the matching have in common."""
     if bundle.observation_sigmas is None:
-        return np.full(len(bundle.photo), TOGETHER**-2)
-    return np.where(np.isnan(bundle.observation_sigmas), TOGETHER**-2, 1.0)
+        return np.full(len(bundle.photo), bundle.together**-2)
+    return np.where(np.isnan(bundle.observation_sigmas), bundle.together**-2, 1.0)
 
 
 def _loss(off: np.ndarray, counted: np.ndarray | float = 1.0) -> float:

@@ -85,10 +85,10 @@ def gps_positions(photos: Sequence[Photo], origin: GeoPosition | None) -> tuple[
 def gimbal_attitudes(photos: Sequence[Photo], turns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The gimbals' attitudes (N,3,3) cam_from_world and their sigmas (N,) in radians, infinite for photos without,
     whose attitude is `turns` (N,3,3). Their common error in yaw, that of a compass, is taken out: the median against
-    `turns`."""
+    `turns`. Where no gimbal tells, level is where `turns` have it."""
     known = np.array([photo.gimbal is not None for photo in photos])
     if not known.any():
-        return turns, np.full(len(photos), np.inf)
+        return turns, np.full(len(photos), np.radians(_GIMBAL_SIGMA) * np.sqrt(len(photos)))
     attitudes = np.array([turn if photo.gimbal is None else rotations.from_gimbal(photo.gimbal).T
                           for photo, turn in zip(photos, turns, strict=True)])
     between = turns.transpose(0, 2, 1) @ attitudes  # in the world, from the gimbal's to the photo's own
