@@ -122,8 +122,9 @@ class Reporter:
         self._stage, self._started, self._fresh_from, self.resumed = stage, time.monotonic(), 0, False
         self._sink(StageStarted(stage=stage, index=[*self._weights].index(stage), count=len(self._weights)))
 
-    def progress(self, done: int, total: int, *, fresh: bool = True) -> None:
-        """`fresh=False` for units found finished from an earlier run: they take no time, so no ETA comes of them."""
+    def progress(self, done: int, total: int, *, fresh: bool = True, left: float | None = None) -> None:
+        """`fresh=False` for units found finished from an earlier run: they take no time, so no ETA comes of them.
+        `left` is the seconds that the stage still takes, where it knows better than by the units so far."""
         self.check_cancelled()
         if not fresh:
             self._fresh_from, self._started, self.resumed = done, time.monotonic(), True
@@ -132,11 +133,12 @@ class Reporter:
         share = (sum(weights[:index]) + weights[index] * done / max(total, 1)) / sum(weights)
         self._overall = max(self._overall, share)
         eta = None
-        if done > self._fresh_from:
-            per_unit = (time.monotonic() - self._started) / (done - self._fresh_from)
-            stage_left = per_unit * (total - done)
-            later = per_unit * total * sum(weights[index + 1 :]) / weights[index]
-            eta = stage_left + later
+        elapsed = time.monotonic() - self._started
+        if left is None and done > self._fresh_from:
+            left = elapsed / (done - self._fresh_from) * (total - done)
+        if left is not None:
+            whole = (elapsed + left) * total / max(total - self._fresh_from, 1)  # as if nothing had been found finished
+            eta = left + whole * sum(weights[index + 1 :]) / weights[index]
         self._sink(Progress(stage=self._stage, done=done, total=total, overall=self._overall, eta=eta))
 
     def warning(self, text: str, photo: str | None = None) -> None:

@@ -29,6 +29,7 @@ from ..base.records import Photo
 from ..cloud import fuse
 from ..depth import tiles
 from ..depth.estimate import FEATURE_BYTES, choose_device, choose_precision
+from ..sparse.matches import PHOTOS_KEPT
 from ..sparse.pairs import expected_pairs, metadata_pairs
 from ..sparse.parallel import threads
 from ..surface.build import POINTS_A_FACE, MeshOptions
@@ -44,9 +45,9 @@ CROWDING_SECONDS = 0.5  # for which other programs are watched
 SATURATED = 0.9  # of the processors in use: from here on programs queue for them
 LIBRARIES_BYTES = 350 << 20  # the worker itself, before it has done anything
 FEATURE_BYTES_PER_PIXEL = 60  # of a photo's features, which the depth stage keeps
-# Measured peaks of other stages: matching, per thread and square of the features (8192 of them: 1.2 GiB); features, per
-# thread and pixel; the mesh, per pixel of all depth maps together.
-MATCHING_BYTES, EXTRACTION_BYTES_PER_PIXEL, MESH_BYTES_PER_PIXEL = 19, 250, 140
+# Measured peaks of other stages: matching, per thread and feature asked for, and per photo kept and feature; features,
+# per thread and pixel; the mesh, per pixel of all depth maps together.
+MATCHING_BYTES, PHOTO_FEATURE_BYTES, EXTRACTION_BYTES_PER_PIXEL, MESH_BYTES_PER_PIXEL = 5000, 260, 250, 140
 ADJUSTING_BYTES = 1 << 20  # of a photo's observations and their derivatives
 PIXELS_A_POINT = 11  # of all depth maps, for each point of the cloud
 _PROBE_CONVOLUTION, _PROBE_BLUR = 0.037, 0.013  # seconds of the probes on the reference
@@ -113,7 +114,7 @@ def reference_seconds(photos: tuple[Photo, ...], pairs: int, options: Options) -
     hypotheses = _hypotheses(photos, size)
     return {
         "photos": 0.02 * len(photos),
-        "sparse": 1.8 * sparse_megapixels + 0.4 * features * pairs + 0.7 * len(photos),
+        "sparse": 0.75 * sparse_megapixels + 0.3 * features * pairs + 0.5 * len(photos),
         "adjust": 0.4 * features * len(photos),
         "views": 0.1 * len(photos),
         "depth": megapixels * (1.0 + 0.059 * hypotheses) * (1 + 0.3 * sources) / 2.2,
@@ -193,6 +194,7 @@ def _peak_bytes(photos: tuple[Photo, ...], options: Options) -> dict[str, float]
     pixels = [_pixels(photo, size) for photo in photos]
     workers = threads()
     picture = EXTRACTION_BYTES_PER_PIXEL * max(_pixels(photo, options.preset.sfm_image_size) for photo in photos)
+    matching = workers * MATCHING_BYTES + min(len(photos), PHOTOS_KEPT) * PHOTO_FEATURE_BYTES
     full = max(photo.width * photo.height for photo in photos)
     readers = images.readers(full, workers)
     full *= images.DECODING_BYTES
@@ -205,7 +207,7 @@ def _peak_bytes(photos: tuple[Photo, ...], options: Options) -> dict[str, float]
     meshed = min(sum(pixels), PIXELS_A_POINT * POINTS_A_FACE * faces)
     peaks = {
         "photos": readers * full,
-        "sparse": max(readers * (full + picture), workers * MATCHING_BYTES * options.preset.max_features**2),
+        "sparse": max(readers * (full + picture), matching * options.preset.max_features),
         "adjust": len(photos) * ADJUSTING_BYTES,
         "views": 1.2 * full, "depth": tile + features, "fusion": fuse.peak_bytes(pixels, budget),
         "mesh": meshed * MESH_BYTES_PER_PIXEL, "texture": meshed * MESH_BYTES_PER_PIXEL / 2,

@@ -27,6 +27,8 @@ from ..base.reading import build, read_json
 from ..base.records import Photo
 from .parallel import Step, in_order, threads
 
+SAMPLING = 4 / 3  # of a photo's sides at the quality's image size, for the scale space's first octave
+
 
 @dataclass(frozen=True, kw_only=True)
 class FeatureSettings:
@@ -45,11 +47,11 @@ def open_database(path: Path, photos: tuple[Photo, ...], settings: FeatureSettin
     """
     record = path.with_suffix(".json")
     wanted: dict[str, Any] = {
-        "image_size": settings.image_size, "max_features": settings.max_features,
+        "sampling": SAMPLING, "image_size": settings.image_size, "max_features": settings.max_features,
         "photos": {photo.name: _fingerprint(photo) for photo in photos},
     }
     known = _read_record(record)
-    same_settings = all(known.get(key) == wanted[key] for key in ("image_size", "max_features"))
+    same_settings = all(known.get(key) == wanted[key] for key in ("sampling", "image_size", "max_features"))
     unchanged = all(known.get("photos", {}).get(name, print_) == print_ for name, print_ in wanted["photos"].items())
     with disk_errors(path):
         path.parent.mkdir(exist_ok=True)
@@ -109,7 +111,11 @@ def missing_features(database: pycolmap.Database, photos: tuple[Photo, ...]) -> 
 def extract_features(
     database: pycolmap.Database, photos: tuple[Photo, ...], settings: FeatureSettings, step: Step
 ) -> None:
-    """RootSIFT features of every photo that has none in `database` yet, one transaction a photo."""
+    """RootSIFT features of every photo that has none in `database` yet, one transaction a photo.
+
+    The largest `max_features` are kept, since they match best. So the scale space starts at the photo sampled by
+    SAMPLING, and not at twice the size as COLMAP has it: what lies below would be thrown away.
+    """
     cameras = _write_cameras(database, photos)
     rigs = {rig.ref_sensor_id.id: rig.rig_id for rig in database.read_all_rigs()}
     extractors = threading.local()
@@ -117,7 +123,7 @@ def extract_features(
     def extract(photo: Photo) -> tuple[np.ndarray, pycolmap.FeatureDescriptors]:
         if not hasattr(extractors, "sift"):
             extractors.sift = _extractor(settings.max_features)
-        grey = cv2.cvtColor(read_rgb(photo.path, settings.image_size), cv2.COLOR_RGB2GRAY)
+        grey = _sampled(photo, settings.image_size)
         keypoints, descriptors = extractors.sift.extract_from_uint8_array(grey)
         matrix = pycolmap.keypoints_to_matrix(keypoints)
         height, width = grey.shape
@@ -143,17 +149,29 @@ def extract_features(
             step()
 
 
+def _sampled(photo: Photo, image_size: int) -> np.ndarray:
+    """The photo in grey, its longest side SAMPLING times `image_size`, but at most twice its own."""
+    longest = max(photo.width, photo.height)
+    size = min(round(SAMPLING * image_size), 2 * longest)
+    grey = cv2.cvtColor(read_rgb(photo.path, size), cv2.COLOR_RGB2GRAY)
+    if size <= longest:
+        return grey
+    scale = size / longest
+    return cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+
+
 def _extractor(max_features: int) -> pycolmap.FeatureExtractor:
     options = pycolmap.FeatureExtractionOptions()
     options.use_gpu = False
     options.num_threads = 1  # one photo a thread
     options.sift.max_num_features = max_features
+    options.sift.first_octave = 0
     return pycolmap.FeatureExtractor.create(options, pycolmap.Device.cpu)
 
 
 def _extraction_workers(image_size: int) -> int:
-    # The scale space starts at twice the size: about 12 float32 layers of 2 x 2 image_size^2 x 3/4 pixels a worker.
-    gib = 12 * 4 * 3 * image_size**2 / 2**30
+    # About 12 float32 layers of the sampled photo, 3 by 4, a worker.
+    gib = 12 * 4 * 0.75 * (SAMPLING * image_size) ** 2 / 2**30
     return max(1, min(threads(), int(8 / gib)))
 
 

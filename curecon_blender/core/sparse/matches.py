@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
@@ -16,9 +16,10 @@ import torch
 from ..base.records import Photo
 from .features import image_ids
 from .pairs import Pair
-from .parallel import Step, in_order, threads
+from .parallel import in_order, threads
 
-_CHUNK = 512  # rows of a similarity matrix at a time: it stays in the cache
+PHOTOS_KEPT = 256  # whose features stay in memory, about 1 MB each
+PROBES = 4  # words that a feature is searched in
 
 
 def unmatched(database: pycolmap.Database, photos: tuple[Photo, ...], pairs: set[Pair]) -> list[Pair]:
@@ -28,26 +29,30 @@ def unmatched(database: pycolmap.Database, photos: tuple[Photo, ...], pairs: set
 
 
 def match_pairs(
-    database: pycolmap.Database, photos: tuple[Photo, ...], pairs: list[Pair], device: str, step: Step
+    database: pycolmap.Database, photos: tuple[Photo, ...], pairs: list[Pair], words: np.ndarray, device: str,
+    step: Callable[[int], None],
 ) -> None:
     """Match every pair and verify it geometrically; a pair that fails is recorded too, without inliers.
 
-    `device` is a torch device ("cpu", "cuda"...), used for the brute-force search.
+    `words` is the photos' vocabulary, by which features are searched on the torch device `device` ("cpu", "cuda"...).
+    `step` is told each pair's verified matches, and raises Cancelled.
     """
     ids = image_ids(database, photos)
     cameras = {image.image_id: database.read_camera(image.camera_id) for image in database.read_all_images()}
+    vocabulary = torch.from_numpy(words).to(device)
 
-    @lru_cache(maxsize=256)  # about 1 MB a photo
-    def features(photo: int) -> tuple[np.ndarray, torch.Tensor]:
+    @lru_cache(maxsize=PHOTOS_KEPT)
+    def features(photo: int) -> tuple[np.ndarray, Features]:
         keypoints = database.read_keypoints(ids[photo])[:, :2].astype(np.float64)
-        return keypoints, torch.from_numpy(database.read_descriptors(ids[photo]).data.copy()).to(device)
+        descriptors = torch.from_numpy(database.read_descriptors(ids[photo]).data.copy()).to(device)
+        return keypoints, index_features(descriptors, vocabulary)
 
     options = pycolmap.TwoViewGeometryOptions()
     options.ransac.random_seed = 0
 
     def verified(task: _Task) -> pycolmap.TwoViewGeometry:
-        (keypoints1, descriptors1), (keypoints2, descriptors2) = task.first, task.second
-        matches = match_descriptors(descriptors1, descriptors2)
+        (keypoints1, features1), (keypoints2, features2) = task.first, task.second
+        matches = match_features(features1, features2)
         if len(matches) < options.min_num_inliers:
             return pycolmap.TwoViewGeometry()
         camera1, camera2 = (cameras[ids[photo]] for photo in task.pair)
@@ -58,35 +63,68 @@ def match_pairs(
         for task, geometry in results:
             with pycolmap.DatabaseTransaction(database):
                 database.write_two_view_geometry(ids[task.pair[0]], ids[task.pair[1]], geometry)
-            step()
+            step(len(geometry.inlier_matches))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Features:
+    """A photo's descriptors (N,128) uint8 RootSIFT, and by each its nearest words (N,P), the nearest first."""
+
+    descriptors: torch.Tensor
+    words: torch.Tensor
+    vocabulary: int  # words there are
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Task:
     pair: Pair
-    first: tuple[np.ndarray, torch.Tensor]  # keypoints, descriptors
-    second: tuple[np.ndarray, torch.Tensor]
+    first: tuple[np.ndarray, Features]  # keypoints, features
+    second: tuple[np.ndarray, Features]
 
 
-def match_descriptors(first: torch.Tensor, second: torch.Tensor) -> np.ndarray:
-    """Mutual nearest neighbours (K,2) uint32 between uint8 RootSIFT descriptors (M,128) and (N,128).
+def index_features(descriptors: torch.Tensor, vocabulary: torch.Tensor) -> Features:
+    """Descriptors (N,128) uint8 with their nearest words of a vocabulary (W,128)."""
+    nearness = 2 * descriptors.float() @ vocabulary.T - vocabulary.square().sum(1)
+    words = nearness.topk(min(PROBES, len(vocabulary)), dim=1).indices
+    return Features(descriptors=descriptors, words=words, vocabulary=len(vocabulary))
 
-    As COLMAP has it: the angle between descriptors below 0.7 rad and below 0.8 of the second nearest's.
+
+def match_features(first: Features, second: Features) -> np.ndarray:
+    """Mutual nearest neighbours (K,2) uint32 among descriptors that share a word.
+
+    As COLMAP has it: the angle between descriptors below 0.7 rad and below 0.8 of the second nearest's. A feature of
+    the first photo is compared with those of the second whose nearest word is one of its own: a fifteenth of all, which
+    finds 98 of 100 matches.
     """
-    if len(first) < 2 or len(second) < 2:
-        return np.empty((0, 2), np.uint32)
-    a, b = first.float() / 512, second.float() / 512  # COLMAP stores unit vectors as bytes, times 512
-    rows, columns = [], []
-    for start in range(0, len(a), _CHUNK):
-        similarity, nearest = (a[start : start + _CHUNK] @ b.T).topk(2, dim=1)
-        angle = torch.acos(similarity.clamp(max=1))
-        row = ((angle[:, 0] < 0.7) & (angle[:, 0] < 0.8 * angle[:, 1])).nonzero()[:, 0]
-        rows.append(row + start)
-        columns.append(nearest[row, 0])
-    row, column = torch.cat(rows), torch.cat(columns)
-    back = [(b[column[s : s + _CHUNK]] @ a.T).argmax(dim=1) for s in range(0, len(column), _CHUNK)]
-    mutual = torch.cat(back) == row if back else torch.zeros(0, dtype=torch.bool)
-    return torch.stack([row[mutual], column[mutual]], dim=1).cpu().numpy().astype(np.uint32)
+    a, b = first.descriptors.float() / 512, second.descriptors.float() / 512  # bytes of unit vectors, times 512
+    columns = second.words[:, 0].argsort(stable=True)  # by word
+    probes = first.words.flatten()
+    slots = probes.argsort(stable=True)  # by word: row times the probes of a row, plus the probe
+    row_ends, column_ends = (
+        torch.bincount(words, minlength=first.vocabulary).cumsum(0).tolist() for words in (probes, second.words[:, 0])
+    )
+    b = b[columns]
+    similarity = torch.full((len(probes), 2), -1.0, device=a.device)
+    nearest = torch.zeros(len(probes), dtype=torch.long, device=a.device)
+    back = torch.full((len(b),), -1, dtype=torch.long, device=a.device)
+    for top, bottom, left, right in zip(
+        [0, *row_ends[:-1]], row_ends, [0, *column_ends[:-1]], column_ends, strict=True
+    ):
+        if top == bottom or left == right:
+            continue
+        chosen = slots[top:bottom]
+        rows = chosen // first.words.shape[1]
+        table = a[rows] @ b[left:right].T
+        best = table.topk(min(2, right - left), dim=1)
+        similarity[chosen, : best.values.shape[1]] = best.values
+        nearest[chosen] = best.indices[:, 0] + left
+        back[left:right] = rows[table.argmax(dim=0)]
+    best = similarity.view(len(a), -1).topk(2, dim=1)
+    angle = torch.acos(best.values.clamp(max=1))
+    row = ((angle[:, 0] < 0.7) & (angle[:, 0] < 0.8 * angle[:, 1])).nonzero()[:, 0]
+    column = nearest.view(len(a), -1).gather(1, best.indices[:, :1] // 2)[row, 0]
+    mutual = back[column] == row
+    return torch.stack([row[mutual], columns[column[mutual]]], dim=1).cpu().numpy().astype(np.uint32)
 
 
 @contextmanager

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from itertools import combinations
 
-import cv2
 import numpy as np
 import pycolmap
 
@@ -17,6 +16,7 @@ from ..base.records import Photo
 from .features import image_ids
 from .parallel import Step
 from .placement import SHORTEST_BASELINE
+from .words import some_descriptors
 
 EXHAUSTIVE = 60  # photos; up to here every pair is matched when no GPS says which are near each other
 RETRIEVED = 20  # most similar photos matched with each photo of a larger set without GPS
@@ -76,28 +76,18 @@ def near_pairs(positions: np.ndarray, axes: np.ndarray) -> set[Pair]:
     return {(i, j) for i, j in pairs if not float(axes[i] @ axes[j]) < widest}  # NaN is not less: unknown stays
 
 
-def similar_pairs(database: pycolmap.Database, photos: tuple[Photo, ...], step: Step) -> set[Pair]:
-    """Each photo with the photos most like it, by VLAD vectors over a vocabulary learnt from the photos themselves.
+def similar_pairs(
+    database: pycolmap.Database, photos: tuple[Photo, ...], words: np.ndarray, step: Step
+) -> set[Pair]:
+    """Each photo with the photos most like it, by VLAD vectors over the vocabulary `words` of the photos themselves.
 
     (Jegou et al., CVPR 2010: residuals of local descriptors against their visual words, summed and normalised.)
     """
     rng = np.random.default_rng(0)
     ids = image_ids(database, photos)
-
-    def descriptors(image_id: int, most: int) -> np.ndarray:
-        data = database.read_descriptors(image_id).data
-        chosen = data if len(data) <= most else data[rng.choice(len(data), most, replace=False)]
-        return chosen.astype(np.float32)
-
-    sample = np.concatenate([descriptors(i, max(50, 50_000 // len(ids))) for i in ids])
-    if len(sample) < 64:
-        return set()
-    criteria = (cv2.TERM_CRITERIA_MAX_ITER, 15, 0.0)
-    cv2.setRNGSeed(0)
-    words = cv2.kmeans(sample, 64, None, criteria, 1, cv2.KMEANS_PP_CENTERS)[2]  # type: ignore[call-overload]
     signatures = np.zeros((len(ids), words.size), np.float32)
     for row, image_id in enumerate(ids):
-        data = descriptors(image_id, 2000)
+        data = some_descriptors(database, image_id, 2000, rng)
         nearest = np.argmin((words**2).sum(1) - 2 * data @ words.T, axis=1)
         residuals = np.zeros_like(words)
         np.add.at(residuals, nearest, data - words[nearest])
