@@ -117,6 +117,17 @@ class TestOtherPictures:
             main={0x010F: None, 0x0110: None}, camera={0x920A: None, 0xA405: None}))  # and a time
         assert left_out(folder) == {}
 
+    def test_frames_of_a_video_stay_and_a_map_s_tiles_go(self, tmp_path: Path) -> None:
+        for number in range(12):
+            save(tmp_path / f"DJI_{number}.JPG", number, exif=exif())
+        for number in range(3):
+            write(tmp_path / f"frame_{number}.png", scene(50 + number, 800, 450))
+        assert left_out(tmp_path) == {}
+        tiles = [f"{number}.png" for number in range(3)]
+        for number, name in enumerate(tiles):
+            write(tmp_path / name, scene(60 + number, 256, 256))
+        assert left_out(tmp_path) == dict.fromkeys(tiles, "picture without a camera")
+
     def test_a_folder_without_any_metadata_stays_whole(self, tmp_path: Path) -> None:
         for number, size in enumerate([(320, 240), (256, 256), (400, 240), (500, 400)]):
             write(tmp_path / f"{number}.png", scene(number, *size))

@@ -99,7 +99,9 @@ def fuse(component: Component, workspace: Path, options: Options, reporter: Repo
     planned = plan((view.width * view.height for view in component.views), memory.budget(options))
     order = finest_first(component.views, workspace, reporter)
     neighbours = _neighbours(component.views)
-    with scratch_folder(workspace / "fusion") as folder, CloudWriter(workspace / component.cloud) as writer:
+    with scratch_folder(workspace / "fusion") as folder, CloudWriter(
+        workspace / component.cloud, component.frame.shift
+    ) as writer:
         depth_maps = DepthMaps(workspace, planned.cache, folder, z_up=component.frame.up != "given")
         job = _Job(depth_maps, writer, options, min_views, reporter)
         fused: list[tuple[View, Path]] = []  # views done, with the file of what they accepted

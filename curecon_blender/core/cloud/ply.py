@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -51,10 +51,12 @@ class Cloud:
 
 
 class CloudWriter(RowWriter):
-    """Streams points into a PLY file that appears under its name only when the `with` block ends well."""
+    """Streams points into a PLY file that appears under its name only when the `with` block ends well. `shift` is what
+    to add to come back to a given model's coordinates."""
 
-    def __init__(self, path: Path) -> None:
-        super().__init__(path, "vertex", _POINT, ["CU-Recon"])
+    def __init__(self, path: Path, shift: Sequence[float] | None = None) -> None:
+        comments = [] if shift is None else ["shift " + " ".join(f"{number:.4f}" for number in shift)]
+        super().__init__(path, "vertex", _POINT, ["CU-Recon", *comments])
 
     def __enter__(self) -> CloudWriter:
         super().__enter__()

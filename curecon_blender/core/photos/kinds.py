@@ -30,8 +30,9 @@ SCREENSHOT, DRAWING, COPY = "screenshot", "picture without a camera", "copy"
 SURPLUS = (THERMAL, BAND, PANORAMA, MAP, SCREENSHOT, DRAWING, COPY)
 WIDEST = 2.4  # width over height; cameras and phones stay below
 FEWEST = 3  # photos that a picture must differ from
-MOST_HAVE = 0.7  # share of the others that have a camera's metadata where its lack counts
+MOST_HAVE = 0.6  # share of the others that have a camera's metadata where its lack counts
 PREVIEW = 96  # pixels, longest side, of what pictures are compared by
+LARGEST_TILE = 640  # pixels
 SMALL = 0.6  # of the usual longest side: below it a picture may be a preview of another
 SAME, SAME_EDITED, SAME_PART = 0.985, 0.9, 0.85  # correlations of previews
 _GEOTIFF = (33550, 33922, 34264, 34735)  # tags that place a picture on a map
@@ -169,16 +170,19 @@ def _beside_colour(pictures: list[Examined]) -> Found:
 
 
 def _without_camera(pictures: list[Examined]) -> Found:
-    """Map tiles, drawings, screenshots: no camera's metadata where the others have it, and another shape."""
+    """Map tiles, drawings, screenshots: no camera's metadata where the others have it, and another shape. Larger ones
+    of one size may be frames of a video."""
     with_camera = [picture for picture in pictures if picture.hints.has_camera]
     if len(with_camera) < max(FEWEST, MOST_HAVE * len(pictures)):
         return
     shapes = np.array(sorted({picture.aspect for picture in with_camera}))
+    sizes = Counter((picture.photo.width, picture.photo.height) for picture in pictures)
     for picture in pictures:
         photo = picture.photo
         if picture.hints.has_camera or photo.gps or photo.time or photo.gimbal:
             continue
-        if np.abs(shapes / picture.aspect - 1).min() > 0.02:
+        is_series = sizes[photo.width, photo.height] >= FEWEST and _longest(picture) > LARGEST_TILE
+        if np.abs(shapes / picture.aspect - 1).min() > 0.02 and not is_series:
             yield picture, DRAWING, (f"has no camera's metadata and another shape ({photo.width}x{photo.height}) than "
                                      "the photos: a screenshot, a map tile or a drawing")
 
