@@ -42,6 +42,8 @@ class CURECON_PT_result(Panel, bpy.types.Panel):
             paragraph(box, context, source, icon="DRIVER_DISTANCE")
         else:
             column.label(text="Scale unknown: do not measure", icon="ERROR")
+        if known.doubt:
+            paragraph(box, context, known.doubt, icon="ERROR")
         if known.note:
             paragraph(box, context, known.note)
         if clouds and properties.show_cloud:

@@ -94,6 +94,8 @@ def notes(scene: bpy.types.Scene, times: dict[str, datetime]) -> str:
     said.append(f"Axes of the site: {'Y north' if known.north else 'Y free'}, Z up")
     if part is not None:
         said.append(_exactness(part))
+    if known.doubt:
+        said.append("Heights doubtful")
     return "  ·  ".join(said)
 
 

@@ -260,7 +260,8 @@ def _put(collection: bpy.types.Collection, adjustment: Adjustment) -> None:
     part = Part(collection)
     frame = part.frame
     known = {"scale": frame.scale, "scale_source": part.scale_source or None, "up": frame.up, "north": frame.north,
-             "note": frame.note or None, "gps_residual": frame.gps_residual, ADJUSTED_KEY: adjustment.scale,
+             "note": frame.note or None, "doubt": frame.doubt or None, "gps_residual": frame.gps_residual,
+             ADJUSTED_KEY: adjustment.scale,
              SHIFT_KEY: frame.shift}
     for field in fields(GeoPosition):
         known[f"origin_{field.name}"] = None if frame.origin is None else getattr(frame.origin, field.name)

@@ -63,6 +63,7 @@ class Known:
     north: bool = False
     origin: tuple[float, float] | None = None
     note: str = ""
+    doubt: str = ""  # why heights are doubtful
 
 
 def subject(scene: bpy.types.Scene) -> bpy.types.Object | None:
@@ -116,6 +117,7 @@ def known(scene: bpy.types.Scene) -> Known:
         metres=holder["scale"] == "metres", metre=world_matrix(item).median_scale / holder.get(ADJUSTED_KEY, 1.0),
         scale_source=holder.get("scale_source", ""), north=bool(holder["north"]),
         origin=origin, note=holder.get("note", ""),
+        doubt=holder.get("doubt", ""),
     )
 
 

@@ -19,7 +19,7 @@ from .target import PHOTO
 
 def make_workspace(folder: Path) -> None:
     from curecon_blender.core.adjust import control as points
-    from curecon_blender.core.adjust.record import ACCURACY_FILE, Accuracy, PhotoResidual
+    from curecon_blender.core.adjust.record import ACCURACY_FILE, Accuracy, Dome, LensFound, PhotoResidual
     from curecon_blender.core.base.files import write_json
     from curecon_blender.core.base.records import Component, Frame, GeoPosition, Gimbal, Photo, PhotoSet, SkippedPhoto
     from curecon_blender.core.photos.record import write_photos
@@ -35,7 +35,9 @@ def make_workspace(folder: Path) -> None:
     components.write(folder, [component])
     (folder / "sparse" / "0").mkdir(parents=True)
     write_json(folder / "sparse" / "0" / FRAME_FILE, asdict(frame))
-    accuracy = Accuracy(adjusted=True, reprojection_error=0.5, gps=(PhotoResidual(name=PHOTO, off=(0.1, 0.2, -0.1)),))
+    accuracy = Accuracy(adjusted=True, reprojection_error=0.5, gps=(PhotoResidual(name=PHOTO, off=(0.1, 0.2, -0.1)),),
+                        lenses=(LensFound(source="nothing", known=(1.0,) * 9, values=(1.0,) * 9, sigmas=(0.1,) * 9),),
+                        domes=(Dome(source="GPS", bend=1.0, sigma=0.1, limit=0.1),), focal_sigma=0.01)
     write_json(folder / "sparse" / "0" / ACCURACY_FILE, asdict(accuracy))
     measured = alignment.Measured(kind="scale", value=4.2, how="a measured distance", when="2026-01-01T00:00:00",
                                   points=((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)), sigma=0.1)

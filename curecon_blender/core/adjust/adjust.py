@@ -4,8 +4,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +17,11 @@ from ..base.records import Frame, GeoPosition, Photo, PhotoSet
 from ..sparse.models import ADJUSTED, MAPPED, find_models, listed, read_model, write_components
 from ..sparse.placement import BENT, Placement, middle_on_the_ground, place, with_residual
 from ..sparse.record import FRAME_FILE, read_frame
+from . import bending
 from .bundle import LENS_PARAMETERS, Bundle, adjust, fit_points, posterior_sigmas
 from .conversion import registered, started, to_bundle, write_back
 from .priors import FOCAL, MAKER, NOTHING, gps_positions, lens_priors
-from .record import ACCURACY_FILE, Accuracy, PhotoResidual
+from .record import ACCURACY_FILE, Accuracy, LensFound, PhotoResidual
 
 CONTRADICTS = 15.0, 10.0  # metres, times the median: a photo farther than both from its GPS is named
 # Photos whose camera is wrong and not their GPS: that share of the distance lies along their line of sight, in so many.
@@ -39,6 +40,14 @@ _FREE_AT_FIRST = [LENS_PARAMETERS.index(name) for name in ("k1", "k2", "p1", "p2
 _K3 = LENS_PARAMETERS.index("k3")
 
 
+@dataclass(frozen=True, kw_only=True)
+class Adjusted:
+    """A model as adjusted: the bundle with what was known of it, and what that was of each lens."""
+
+    bundle: Bundle
+    sources: tuple[str, ...]
+
+
 def adjust_cameras(photo_set: PhotoSet, workspace: Path, reporter: Reporter) -> list[Frame]:
     """Place and adjust the components in `workspace/sparse/mapped/N`; write each to `workspace/sparse/N` with the
     records of its frame and accuracy. A given model, which has its frame already, stays as it is.
@@ -47,6 +56,13 @@ def adjust_cameras(photo_set: PhotoSet, workspace: Path, reporter: Reporter) -> 
     that cannot be read, Cancelled, WorkspaceError.
     """
     photos = {photo.name: photo for photo in photo_set.photos}
+    fixed = sum(photo.gps_sigmas is not None for photo in photos.values())
+    located = sum(photo.gps is not None for photo in photos.values())
+    if 0 < fixed < located:
+        reporter.warning(
+            f"Only {fixed} of {located} photos have an RTK fix; the positions of the others count as those of an "
+            "ordinary receiver."
+        )
     folders = find_models(workspace / MAPPED)
     components: list[tuple[pycolmap.Reconstruction, dict[str, Any]]] = []
     frames = []
@@ -54,15 +70,10 @@ def adjust_cameras(photo_set: PhotoSet, workspace: Path, reporter: Reporter) -> 
         reporter.progress(index, len(folders))
         model = read_model(folder)
         if (folder / FRAME_FILE).is_file():
-            frame, adjusted = read_frame(folder), False
+            frame = read_frame(folder)
+            accuracy = _judged(model, photos, frame, None)
         else:
-            placement, adjusted = place_and_adjust(model, photos, reporter)
-            frame = placement.frame
-            _warn_of_gps(placement, model.num_reg_images(), index, reporter)
-        accuracy = Accuracy(
-            adjusted=adjusted, reprojection_error=model.compute_mean_reprojection_error(),
-            gps=_gps_residuals(model, photos, frame),
-        )
+            frame, accuracy = _placed(model, photos, index, reporter)
         components.append((model, {FRAME_FILE: frame, ACCURACY_FILE: accuracy}))
         frames.append(frame)
     write_components(workspace, ADJUSTED, components)
@@ -70,27 +81,72 @@ def adjust_cameras(photo_set: PhotoSet, workspace: Path, reporter: Reporter) -> 
     return frames
 
 
+def _placed(
+    model: pycolmap.Reconstruction, photos: Mapping[str, Photo], index: int, reporter: Reporter
+) -> tuple[Frame, Accuracy]:
+    """Bring a mapped model into the site frame, in place, adjusted where that can be; tell what the user must know."""
+    placement, adjusted = place_and_adjust(model, photos, reporter)
+    _warn_of_gps(placement, model.num_reg_images(), index, reporter)
+    accuracy = _judged(model, photos, placement.frame, adjusted)
+    doubt = bending.doubt(accuracy.domes, accuracy.focal_sigma)
+    if doubt:
+        reporter.warning(f"{doubt} {bending.REMEDY}")
+    if accuracy.shutter_shift is not None and accuracy.shutter_shift > bending.MOST_SHIFT:
+        reporter.warning(
+            f"The drone flew while its photos were read out row by row: by about {accuracy.shutter_shift:.1f} pixels. "
+            "That bends the model a little. Fly slower, or stop for each photo."
+        )
+    return replace(placement.frame, doubt=doubt), accuracy
+
+
 def place_and_adjust(
     model: pycolmap.Reconstruction, photos: Mapping[str, Photo], reporter: Reporter
-) -> tuple[Placement, bool]:
-    """Bring a mapped model into the site frame, in place, and adjust it. Returns its placement, and whether it could be
-    adjusted."""
+) -> tuple[Placement, Adjusted | None]:
+    """Bring a mapped model into the site frame, in place, and adjust it. Returns its placement and its adjustment, None
+    where it stays as the mapper has it."""
     placement = place(model, photos)
     model.transform(placement.site_from_model)
     frame = placement.frame
     adjusted = adjust_model(model, photos, frame.origin, reporter)
-    if not adjusted:
-        return placement, False
+    if adjusted is None:
+        return placement, None
     again = place(model, photos)
     if frame.up != "gps" or again.frame.up != "gps" or frame.origin is None or frame.origin.altitude is None:
         model.transform(again.site_from_model)
-        return again, True
+        return again, adjusted
     # GPS with its sigmas and all else have put it in its place; but for the ground, whose height has changed.
     level = float(middle_on_the_ground(np.array([point.xyz for point in model.points3D.values()]))[2])
     model.transform(pycolmap.Sim3d(1.0, pycolmap.Rotation3d(), np.array([0.0, 0.0, -level])))
     frame = replace(again.frame, origin=replace(frame.origin, altitude=frame.origin.altitude + level))
     off = [np.linalg.norm(residual.off) for residual in _gps_residuals(model, photos, frame)]
-    return replace(again, frame=with_residual(frame, float(np.median(off)))), True
+    return replace(again, frame=with_residual(frame, float(np.median(off)))), adjusted
+
+
+def _judged(
+    model: pycolmap.Reconstruction, photos: Mapping[str, Photo], frame: Frame, adjusted: Adjusted | None
+) -> Accuracy:
+    """What the cameras of a model in its frame rest on, and how well they agree with it."""
+    images = registered(model)
+    taken = [photos[image.name] for image in images]
+    centres = np.array([image.projection_center() for image in images])
+    known, sigmas = gps_positions(taken, frame.origin)
+    focal = np.array([model.camera(image.camera_id).mean_focal_length() for image in images])
+    above = np.array([_typical_depth(model, image) for image in images])
+    found, focal_sigma = lenses_found(adjusted.bundle, adjusted.sources) if adjusted else ((), None)
+    return Accuracy(
+        adjusted=adjusted is not None, reprojection_error=model.compute_mean_reprojection_error(),
+        gps=_gps_residuals(model, photos, frame), lenses=found, focal_sigma=focal_sigma,
+        domes=bending.domes(taken, centres, np.where(np.isfinite(sigmas[:, 2]), known[:, 2], np.nan),
+                            float(np.median(above))) if frame.scale == "metres" else (),
+        shutter_shift=bending.shutter_shift(taken, focal, above) if frame.scale == "metres" else None,
+    )
+
+
+def _typical_depth(model: pycolmap.Reconstruction, image: pycolmap.Image) -> float:
+    """Median distance along the view of the points that an image sees; 0 for none."""
+    seen = np.array([model.point3D(point.point3D_id).xyz for point in image.get_observation_points2D()]).reshape(-1, 3)
+    depths = (seen - image.projection_center()) @ image.cam_from_world().rotation.matrix()[2]
+    return float(np.median(depths)) if len(depths) else 0.0
 
 
 def _gps_residuals(
@@ -108,10 +164,10 @@ def _gps_residuals(
 
 def adjust_model(
     model: pycolmap.Reconstruction, photos: Mapping[str, Photo], origin: GeoPosition | None, reporter: Reporter
-) -> bool:
+) -> Adjusted | None:
     """Adjust a model in the site frame, in place. Its cameras are FULL_OPENCV afterwards.
 
-    False where the model stays as it is: where nothing but the photos themselves is known, and the adjustment predicts
+    None where the model stays as it is: where nothing but the photos themselves is known, and the adjustment predicts
     observations that were kept from it no better than the mapper does. The user is told where a calibration does not
     fit the photos, or the photos are too many. Raises Cancelled.
     """
@@ -120,7 +176,7 @@ def adjust_model(
             f"The cameras are those of the mapper, not adjusted to GPS and calibration: that is for up to "
             f"{MOST_PHOTOS:,} photos. Heights may be wrong if all photos look straight down from one height."
         )
-        return False
+        return None
     for best in (MAKER, FOCAL, NOTHING):
         lenses = lens_priors(model, photos, best)
         sources = [lens.source for lens in lenses.values()]
@@ -140,9 +196,19 @@ def adjust_model(
                 "or the pictures were edited. Heights may be wrong if all photos look straight down from one height."
             )
     if error > (mappers if origin is None else WORSE * mappers):
-        return False
-    write_back(adjust(adjusted.observing(mapped), reporter.check_cancelled, _ROUGHLY), model)
-    return True
+        return None
+    adjusted = adjust(adjusted.observing(mapped), reporter.check_cancelled, _ROUGHLY)
+    write_back(adjusted, model)
+    return Adjusted(bundle=_restated(adjusted, mapped, mapped.lens_sigmas), sources=tuple(sources))
+
+
+def lenses_found(bundle: Bundle, sources: Sequence[str]) -> tuple[tuple[LensFound, ...], float]:
+    """The lenses of an adjusted bundle, and the share by which the least sure focal length is left open."""
+    sigmas = posterior_sigmas(bundle)
+    found = (LensFound(source=source, known=tuple(known), values=tuple(values), sigmas=tuple(open_))
+             for source, known, values, open_ in zip(sources, bundle.known_lenses.tolist(), bundle.lenses.tolist(),
+                                                     sigmas.tolist(), strict=True))
+    return tuple(found), float((sigmas[:, 0] / bundle.lenses[:, 0]).max())
 
 
 def _kept_back(bundle: Bundle) -> np.ndarray:

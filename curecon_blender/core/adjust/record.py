@@ -14,6 +14,8 @@ from ..base.errors import WorkspaceError
 from ..base.reading import FARTHEST, FILE_NAME, Within, build, read_json
 
 ACCURACY_FILE = "accuracy.json"
+_Number = Annotated[float, Within(-FARTHEST, FARTHEST)]
+_Nine = tuple[_Number, _Number, _Number, _Number, _Number, _Number, _Number, _Number, _Number]
 _METRES = Annotated[float, Within(-FARTHEST, FARTHEST)]
 
 
@@ -37,6 +39,28 @@ class PointResidual:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Dome:
+    """By how much the cameras' heights bend from the middle of the flight to its edge against what `source` says,
+    metres, up where positive; `sigma` of it, and `limit` up to which the source itself may be off."""
+
+    source: str
+    bend: _METRES
+    sigma: Annotated[float, Within(0, FARTHEST)]
+    limit: Annotated[float, Within(0, FARTHEST)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LensFound:
+    """A camera's lens as adjusted, by bundle.LENS_PARAMETERS: `known` is what was known beforehand, from `source`;
+    `sigmas` are what the adjustment leaves open."""
+
+    source: str
+    known: _Nine
+    values: _Nine
+    sigmas: _Nine
+
+
+@dataclass(frozen=True, kw_only=True)
 class Accuracy:
     """What a component's cameras rest on. `adjusted` is false for cameras as the mapper or a given model has them.
 
@@ -48,6 +72,10 @@ class Accuracy:
     adjusted: bool
     reprojection_error: Annotated[float, Within(0, FARTHEST)]  # pixels, mean over the observations
     gps: tuple[PhotoResidual, ...] = ()
+    lenses: tuple[LensFound, ...] = ()
+    focal_sigma: Annotated[float, Within(0, FARTHEST)] | None = None  # of focal lengths, a share: the least sure
+    domes: tuple[Dome, ...] = ()
+    shutter_shift: Annotated[float, Within(0, FARTHEST)] | None = None  # pixels while a photo is read out, median
     control: tuple[PointResidual, ...] = ()
     check: tuple[PointResidual, ...] = ()
     left_out: tuple[PointResidual, ...] = ()

@@ -76,6 +76,7 @@ class Photo:
     gps: GeoPosition | None = None
     gps_sigmas: tuple[_SIGMA, _SIGMA] | None = None  # metres, in plan and height, as the receiver states them (RTK)
     gimbal: Gimbal | None = None
+    speed: Annotated[float, Within(0, 1000)] | None = None  # metres a second, of the drone
     relative_altitude: Annotated[float, Within(-100_000, 100_000)] | None = None  # metres above take-off
     time: str | None = None  # ISO 8601, camera's local time
     sharpness: Annotated[float, Within(0, FARTHEST)] = 0.0  # relative to the median: below BLURRED it counts as blurred
@@ -120,6 +121,7 @@ class Frame:
     gps_residual: Annotated[float, Within(0, FARTHEST)] | None = None  # metres, median, of cameras from their GPS
     shift: tuple[_Coordinate, _Coordinate, _Coordinate] | None = None
     note: str = ""  # one sentence for the user
+    doubt: str = ""  # why heights are doubtful, in one sentence; empty where they are not
     scale_sigma: Annotated[float, Within(0, FARTHEST)] | None = None
 
 

@@ -21,7 +21,7 @@ from ..base import images
 from ..base.errors import OutOfMemory, PhotoError
 from ..base.geodesy import altitudes_tell
 from ..base.messages import Reporter
-from ..base.records import UNKNOWN, Photo, PhotoSet, SkippedPhoto
+from ..base.records import ELLIPSOID, SEA_LEVEL, UNKNOWN, Photo, PhotoSet, SkippedPhoto
 from . import metadata, overlap
 from .find import Files, find_files, listed, remedy_for
 from .kinds import SURPLUS, Examined, find_surplus, preview_of
@@ -75,7 +75,8 @@ def check_photos(
             raise OutOfMemory
         raise _too_few(source, len(examined), skipped)
     _tell_of_xmp(examined, reporter)
-    photos = _with_names(source, _with_sharpness(_with_altitudes(_with_zoom(examined), reporter)))
+    photos = with_one_datum(_with_altitudes(_with_zoom(examined), reporter), reporter)
+    photos = _with_names(source, _with_sharpness(photos))
     for problem in ("blurred", "overexposed", "underexposed"):
         if names := [photo.name for photo in photos if problem in _problems(photo)]:
             text = "1 photo looks" if len(names) == 1 else f"{len(names)} photos look"
@@ -168,7 +169,7 @@ def _examine(path: Path) -> Examined | SkippedPhoto:
     photo = Photo(
         name=path.name, path=path, width=width, height=height,
         camera=f"{told.camera or 'unknown camera'} {width}x{height}", focal_px=told.focal_px,
-        focal_sigma=told.focal_sigma, centre_px=told.centre_px, lens=told.lens,
+        focal_sigma=told.focal_sigma, speed=told.speed, centre_px=told.centre_px, lens=told.lens,
         gps=told.gps, gps_sigmas=told.gps_sigmas, gimbal=told.gimbal, relative_altitude=told.relative_altitude,
         time=told.time, sharpness=_sharpness(rgb),
         overexposed=bool((rgb.min(axis=2) >= WHITE).mean() >= OVEREXPOSED),
@@ -290,6 +291,20 @@ def _with_altitudes(photos: list[Photo], reporter: Reporter) -> list[Photo]:
     )
     return [replace(photo, gps=photo.gps and replace(photo.gps, altitude=None, altitude_datum=UNKNOWN))
             for photo in photos]
+
+
+def with_one_datum(photos: list[Photo], reporter: Reporter) -> list[Photo]:
+    """Without the altitudes that count from another level than most do: the two lie tens of metres apart."""
+    levels = Counter(photo.gps.altitude_datum for photo in photos if photo.gps is not None)
+    if not (levels[ELLIPSOID] and levels[SEA_LEVEL]):
+        return photos
+    fewer, more = sorted((ELLIPSOID, SEA_LEVEL), key=lambda level: levels[level])
+    reporter.warning(
+        f"{levels[fewer]} photos count their altitude from the {fewer}, {levels[more]} from the {more}: the altitudes "
+        f"of the {levels[fewer]} are not used. Use photos of one flight, or of one kind of receiver."
+    )
+    return [replace(photo, gps=replace(photo.gps, altitude=None, altitude_datum=UNKNOWN), gps_sigmas=None)
+            if photo.gps is not None and photo.gps.altitude_datum == fewer else photo for photo in photos]
 
 
 def _with_names(source: Path, photos: list[Photo]) -> list[Photo]:

@@ -49,6 +49,7 @@ class Metadata:
     gps: GeoPosition | None
     gimbal: Gimbal | None
     relative_altitude: float | None
+    speed: float | None
     time: str | None
     xmp_fault: str  # what is wrong with the XMP, in words
     hints: Hints  # of what kind the picture is
@@ -82,6 +83,7 @@ def from_image(image: Image.Image) -> Metadata:
         gps=position(gps, exif, xmp),
         gimbal=gimbal(xmp),
         relative_altitude=relative_altitude(xmp),
+        speed=_speed(xmp.drone),
         time=time(main, exif, gps, xmp),
         xmp_fault=xmp.fault,
         hints=read_hints(image, main, exif, xmp),
@@ -190,6 +192,14 @@ def _lens(dji: Mapping[str, str], focal_px: float | None, size: tuple[int, int])
         return None
     return Lens(f=scale * fx, aspect=fy / fx, cx=0.5 * width + scale * cx, cy=0.5 * height + scale * cy,
                 k1=k1, k2=k2, p1=p1, p2=p2, k3=k3)
+
+
+def _speed(dji: Mapping[str, str]) -> float | None:
+    """Metres a second, of the drone when it took the photo."""
+    along = [number(dji.get(f"Flight{axis}Speed")) for axis in "XYZ"]
+    known = [one for one in along if one is not None]
+    speed = math.hypot(*known)
+    return speed if len(known) == 3 and speed < 100 else None
 
 
 def _gps_sigmas(dji: Mapping[str, str]) -> tuple[float, float] | None:

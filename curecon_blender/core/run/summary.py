@@ -30,7 +30,8 @@ def summarise(job: Job, stages: Sequence[str]) -> dict[str, Any]:
         "registered": sum(_registered(root / MAPPED)) if (root / MAPPED).is_dir() else 0,
         "components": [
             {"index": component.index, "photos": len(component.views), "scale": frame.scale, "up": frame.up,
-             "gps_residual": frame.gps_residual, "note": frame.note, "points": point_count(root / component.cloud)}
+             "gps_residual": frame.gps_residual, "note": frame.note, "doubt": frame.doubt,
+             "points": point_count(root / component.cloud)}
             for component, frame in zip(job.components, frames, strict=True)
         ],
         "points": sum(point_count(path) for path in clouds),

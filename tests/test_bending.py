@@ -1,0 +1,84 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A model that is bent is told of, and one whose heights rest on nothing; one that is sound is not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_adjust import ORIGIN, flight
+
+from curecon_blender.core.adjust import bending
+from curecon_blender.core.adjust.adjust import adjust_model, lenses_found
+from curecon_blender.core.base.messages import Reporter
+from curecon_blender.core.base.records import SEA_LEVEL, GeoPosition, Photo
+from curecon_blender.core.photos.check import with_one_datum
+
+ABOVE = 45.0
+
+
+def grid(bend: float, noise: float) -> tuple[list[Photo], np.ndarray]:
+    """Thirty photos at one height above take-off, told to 6 cm, whose model is bent by so much at its edge."""
+    rng = np.random.default_rng(4)
+    plan = np.stack(np.meshgrid(np.arange(6) * 9.0, np.arange(5) * 9.0), axis=-1).reshape(-1, 2)
+    squared = ((plan - plan.mean(axis=0)) ** 2).sum(axis=1)
+    heights = ABOVE + bend * squared / squared.max() + rng.normal(0, noise, len(plan))
+    photos = [Photo(name=f"{n}.jpg", path=Path(f"{n}.jpg"), width=1600, height=1200, camera="DJI FC3682", focal_px=1e3,
+                    relative_altitude=ABOVE + rng.normal(0, 0.06), speed=5.0) for n in range(len(plan))]
+    return photos, np.column_stack([plan, heights])
+
+
+@pytest.mark.parametrize("bend", [-1.8, 1.8])
+def test_a_bent_model_is_told_against_the_height_above_take_off(bend: float) -> None:
+    photos, centres = grid(bend, 0.02)
+    found = bending.domes(photos, centres, np.full(30, np.nan), ABOVE)
+    assert [dome.source for dome in found] == [bending.RELATIVE_ALTITUDE]
+    assert found[0].bend == pytest.approx(bend, abs=0.15)
+    said = bending.doubt(found, None)
+    assert f"{abs(found[0].bend):.2f} m" in said and ("raised" if bend < 0 else "lowered") in said
+
+
+@pytest.mark.parametrize(("bend", "noise"), [(0.0, 0.02), (0.2, 0.02), (0.0, 0.6)])
+def test_a_sound_model_is_left_in_peace(bend: float, noise: float) -> None:
+    photos, centres = grid(bend, noise)
+    gps = centres[:, 2] + np.random.default_rng(1).normal(0, 2, 30)
+    assert bending.doubt(bending.domes(photos, centres, gps, ABOVE), 0.003) == ""
+
+
+@pytest.mark.parametrize(("oblique", "calibrated"), [(False, True), (False, False), (True, False)])
+def test_heights_are_doubtful_where_neither_the_photos_nor_the_maker_tell_the_focal_length(
+    oblique: bool, calibrated: bool
+) -> None:
+    model, photos, _ = flight(oblique=oblique, rtk=False)
+    if not calibrated:
+        photos = {name: replace(photo, lens=None, focal_sigma=0.04) for name, photo in photos.items()}
+    adjusted = adjust_model(model, photos, ORIGIN, Reporter())
+    assert adjusted is not None
+    _, share = lenses_found(adjusted.bundle, adjusted.sources)
+    assert bool(bending.doubt((), share)) == (not oblique and not calibrated)
+
+
+def test_a_rolling_shutter_moves_the_ground_by_what_the_drone_flies() -> None:
+    photos, _ = grid(0.0, 0.0)
+    still = [replace(photo, speed=None) for photo in photos]
+    focal, above = np.full(30, 1000.0), np.full(30, ABOVE)
+    assert bending.shutter_shift(photos, focal, above) == pytest.approx(5 * 0.023 * 1000 / ABOVE)
+    assert bending.shutter_shift(still, focal, above) is None
+    mechanical = [replace(photo, camera="DJI FC6310 8.8 mm") for photo in photos]
+    assert bending.shutter_shift(mechanical, focal, above) == 0
+
+
+def test_altitudes_of_two_levels_are_not_mixed() -> None:
+    photos, _ = grid(0.0, 0.0)
+    place = GeoPosition(latitude=24.6, longitude=117.0, altitude=500.0, altitude_datum=SEA_LEVEL)
+    photos = [replace(photo, gps=place) for photo in photos]
+    photos[3] = replace(photos[3], gps=replace(place, altitude=512.0, altitude_datum="ellipsoid"))
+    reporter = Reporter()
+    kept = with_one_datum(photos, reporter)
+    assert kept[3].gps is not None and kept[3].gps.altitude is None
+    assert kept[:3] + kept[4:] == photos[:3] + photos[4:]
+    assert "1 photos count their altitude from the ellipsoid, 29 from the sea level" in reporter.warnings[0]
+    assert with_one_datum(kept, Reporter()) == kept
