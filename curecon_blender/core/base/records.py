@@ -71,7 +71,7 @@ class Photo:
     camera: str  # photos with the same string share one set of intrinsics
     focal_px: Annotated[float, Within(1e-6, FARTHEST)] | None  # in pixels of this photo, where its metadata tells
     focal_sigma: Annotated[float, Within(1e-6, 1)] | None = None  # of it, as a share
-    centre_px: tuple[_Coordinate, _Coordinate] | None = None  # the lens's optical centre, where its maker measured that alone
+    centre_px: tuple[_Coordinate, _Coordinate] | None = None  # the lens's middle, where its maker tells it alone
     lens: Lens | None = None  # the maker's calibration of this very camera
     gps: GeoPosition | None = None
     gps_sigmas: tuple[_SIGMA, _SIGMA] | None = None  # metres, in plan and height, as the receiver states them (RTK)
