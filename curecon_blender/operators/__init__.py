@@ -120,21 +120,23 @@ MENUS = (
     ("TOPBAR_MT_file_import", _file_import), ("TOPBAR_MT_file_export", _file_export), ("VIEW3D_MT_add", _add),
     ("VIEW3D_MT_object", _object), ("VIEW3D_MT_object_context_menu", _object_context),
 )
-_keys: list[tuple[bpy.types.KeyMap, bpy.types.KeyMapItem]] = []
+KEYMAP = "3D View"
 
 
 def add_menus() -> None:
     """Entries in Blender's menus, and a key that the user may change in the preferences."""
     for name, draw in MENUS:
         getattr(bpy.types, name).append(draw)
-    if (keys := bpy.context.window_manager.keyconfigs.addon) is not None:  # there are none in background Blender
-        keymap = keys.keymaps.new(name="3D View", space_type="VIEW_3D")
-        _keys.append((keymap, keymap.keymap_items.new("curecon.show_tab", "U", "PRESS", ctrl=True, alt=True)))
+    if not bpy.app.background:
+        keymap = bpy.context.window_manager.keyconfigs.addon.keymaps.new(name=KEYMAP, space_type="VIEW_3D")
+        keymap.keymap_items.new("curecon.show_tab", "U", "PRESS", ctrl=True, alt=True)
 
 
 def remove_menus() -> None:
     for name, draw in MENUS:
         getattr(bpy.types, name).remove(draw)
-    for keymap, item in _keys:
+    if bpy.app.background:
+        return
+    keymap = bpy.context.window_manager.keyconfigs.addon.keymaps[KEYMAP]  # Python's hold on an item ends with a file
+    for item in [item for item in keymap.keymap_items if item.idname == "curecon.show_tab"]:
         keymap.keymap_items.remove(item)
-    _keys.clear()

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import bpy
+from bpy.app.translations import pgettext_rpt as rpt_
 
 from ..core.base.options import REPORT
 from . import paths, running
@@ -47,7 +48,7 @@ page, and open the page"""
         files: dict[str, str] = summary["report"]
         if not bpy.app.background:
             bpy.ops.wm.path_open(filepath=files["html"])
-        return f"The report is in {Path(files['pdf']).parent}"
+        return rpt_("The report is in {}.").format(Path(files["pdf"]).parent)
 
 
 CLASSES = (CURECON_OT_accuracy_report,)

@@ -15,7 +15,7 @@ import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import BoolProperty, StringProperty
 
-from ..scene import cameras, control, history, points, surface, viewport, workspace
+from ..scene import cameras, control, history, points, sidebar, surface, viewport, workspace
 from ..scene.surface import surfaces_of
 from ..scene.workspace import Imported, clouds_of
 from . import paths, running
@@ -68,6 +68,8 @@ def _show(
     if imported.surfaces:
         viewport.show_texture(context, textured=imported.textured)
         viewport.light(context, properties.surface_light == "SCENE")
+    if imported.cleared and not bpy.app.background:  # a new file, in which the user has unfolded nothing
+        bpy.app.timers.register(lambda: sidebar.fold_outliner(bpy.context), first_interval=0.5)  # once it is drawn
     if show and imported.bounds is not None:
         viewport.turn_to(context, imported.bounds)
     if imported.surfaces:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The tab of the sidebar, opened for a user who has not found it yet."""
+"""The tab of the sidebar, opened for a user who has not found it yet; the outliner, folded to what matters."""
 
 from __future__ import annotations
 
@@ -33,3 +33,15 @@ def show_tab(context: bpy.types.Context) -> None:
         return None
 
     bpy.app.timers.register(turn, first_interval=0.0)
+
+
+def fold_outliner(context: bpy.types.Context) -> None:
+    """Close the lowest open level of the window's outliners: hundreds of cameras hide the site that they were put
+    into the scene for."""
+    if context.window is None:
+        return
+    for area in context.window.screen.areas:
+        if area.type == "OUTLINER" and area.spaces.active.display_mode == "VIEW_LAYER":
+            region = next(region for region in area.regions if region.type == "WINDOW")
+            with context.temp_override(area=area, region=region):
+                bpy.ops.outliner.show_one_level(open=False)

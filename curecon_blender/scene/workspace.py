@@ -29,6 +29,7 @@ from . import backdrop, cameras, cloud_edits, display, frame, new_file, placing,
 from .writable import require
 
 WORKSPACE_KEY = "curecon_workspace"  # on the collection: the workspace it was imported from
+LONGEST_NAME = 40  # bytes of a site's name; Blender cuts all names at 63
 UNPLACED_KEY = "curecon_unplaced"  # on the collection while it is built, and in no scene yet
 
 
@@ -209,28 +210,34 @@ def _child(parent: bpy.types.Collection, name: str) -> bpy.types.Collection:
     return child
 
 
+def _site(content: Content) -> str:
+    """The site's name, short enough for Blender to keep what is put after it."""
+    name = content.folder.name.removesuffix("_curecon")
+    return name.encode()[:LONGEST_NAME].decode(errors="ignore")
+
+
 def _name(content: Content) -> str:
-    return f"CU-Recon: {content.folder.name.removesuffix('_curecon')}"
+    return f"CU-Recon: {_site(content)}"
 
 
 def _build_part(
     part: PartContent, content: Content, top: bpy.types.Collection, pack: bool
 ) -> Generator[str, None, None]:
-    component, folder, only = part.component, content.folder, len(content.parts) == 1
+    component, folder, only, site = part.component, content.folder, len(content.parts) == 1, _site(content)
     number = "" if only else f" {component.index + 1}"
-    collection = top if only else _child(top, f"Part{number}")
-    holder = _child(collection, "Cameras")
+    collection = top if only else _child(top, f"{site} Part{number}")
+    holder = _child(collection, f"{site} Cameras{number}")
     holder[cameras.CAMERAS_KEY] = True
     size = cameras.display_size(component.views) if component.views else 1.0
     for view in component.views:
         yield "Making the cameras"
         cameras.add(view, folder, holder, size)
     if part.cloud is not None:
-        item = yield from points.build(part.cloud, f"Cloud{number}", collection)
+        item = yield from points.build(part.cloud, f"{site} Cloud{number}", collection)
         cloud_edits.attach(item, folder / component.cloud, part.removed)
         hide([item], part.surface is not None)
     if part.surface is not None:
-        yield from surface.build(part.surface, f"Surface{number}", collection, pack=pack)
+        yield from surface.build(part.surface, f"{site} Surface{number}", collection, pack=pack)
     frame.set_up(collection, component, folder, part.adjustment)
     if part.accuracy is not None:
         collection[frame.RESIDUALS_KEY] = json.dumps({

@@ -227,14 +227,14 @@ try:
     workspace_scene.write(FOLDER / "parts", parts=2, scale="unknown")
     bpy.ops.wm.read_homefile(use_empty=True)
     bpy.ops.curecon.import_workspace(directory=str(FOLDER / "parts"))
-    second = bpy.data.objects["Cloud 2"]
+    second = bpy.data.objects["parts Cloud 2"]
     second.location.x = 50
     bpy.context.view_layer.update()
     bpy.ops.curecon.frame_scale(first=(50, 0, 0), second=(60, 0, 0), length=30.0)
     bpy.context.view_layer.update()
-    assert np.isclose(second.matrix_world.median_scale, 3) and bpy.data.objects["Cloud 1"].scale.x == 1
+    assert np.isclose(second.matrix_world.median_scale, 3) and bpy.data.objects["parts Cloud 1"].scale.x == 1
     assert (FOLDER / "parts" / "sparse" / "1" / "adjustment.json").is_file()
-    assert site.subject(scene()) == bpy.data.objects["Cloud 1"] and not site.known(scene()).metres
+    assert site.subject(scene()) == bpy.data.objects["parts Cloud 1"] and not site.known(scene()).metres
 
     # A .blend to be given away does not tell where the site is; its workspace still does.
     scene().curecon.present.longitude = 117.25

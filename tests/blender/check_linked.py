@@ -84,9 +84,9 @@ try:
     assert_refused(bpy.ops.curecon.forget_position)
 
     # Of the surface alone, linked or appended.
-    open_with("objects", "Surface", link=True)
+    open_with("objects", "one Surface", link=True)
     assert_refused(bpy.ops.curecon.forget_position)
-    open_with("objects", "Surface", link=False)
+    open_with("objects", "one Surface", link=False)
     assert tells_where(FOLDER / "appended.blend")
     assert bpy.ops.curecon.forget_position() == {"FINISHED"} and not frame.has_position()
     assert not tells_where(FOLDER / "appended.blend")

@@ -63,7 +63,7 @@ def check_menus() -> None:
     assert {"curecon.export_surface", "curecon.export_cloud", "curecon.render_elevations"} == set(
         offered("TOPBAR_MT_file_export"))
     # Over an object of the user's own, the context menu is Blender's alone.
-    bpy.context.view_layer.objects.active = bpy.data.objects["Surface"]
+    bpy.context.view_layer.objects.active = bpy.data.objects["old_mill Surface"]
     assert "curecon.measure" in offered("VIEW3D_MT_object_context_menu")
     bpy.ops.mesh.primitive_cube_add()
     assert not offered("VIEW3D_MT_object_context_menu")

@@ -84,10 +84,10 @@ def check_parts_by_gps() -> None:
 
     # Exported, the second says where on Earth its axes begin: at the first's origin.
     scene = bring(first, second)
-    bpy.data.objects["Surface"].hide_render = True
+    bpy.data.objects["first Surface"].hide_render = True
     path = FOLDER / "second.glb"
     for item in surfaces_of(scene):
-        item.select_set(item.name != "Surface")
+        item.select_set(item.name != "first Surface")
     assert bpy.ops.curecon.export_surface(filepath=str(path), form="GLB", position=True) == {"FINISHED"}
     told = node_of(path, -1)["extras"]["origin"]
     assert abs(told["longitude"] - 117.25) < 1e-6 and abs(told["altitude"] - 310) < 0.01, told

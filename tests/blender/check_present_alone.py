@@ -86,7 +86,7 @@ def colours(scene: bpy.types.Scene) -> None:
 
 
 def object_settings(scene: bpy.types.Scene) -> None:
-    surface = bpy.data.objects["Surface"]
+    surface = bpy.data.objects["work Surface"]
     surface.is_holdout, surface.visible_camera = True, False
 
 

@@ -158,7 +158,7 @@ try:
     scene.curecon.present.sheet_scale = "50"
     assert bpy.ops.curecon.render_elevations() == {"FINISHED"}
     assert (OUT / "1_east_elevation.png").is_file()
-    for material in bpy.data.objects["Surface"].data.materials:
+    for material in bpy.data.objects["metres Surface"].data.materials:
         assert material.node_tree.nodes["Light"].inputs[0].default_value == 0
     scene.curecon.surface_light = "PHOTO"
     paper, mm, picture = pages_of(OUT / "elevations.pdf")[4]
@@ -176,7 +176,7 @@ try:
     # A side that no photo shows is empty, and is not the other side seen from within: the tent from below.
     scene.curecon.region = None
     scene.curecon.present.sheet_scale, scene.curecon.present.facade_turn = "500", 0
-    bpy.data.objects["Surface"].rotation_euler.x = np.pi
+    bpy.data.objects["metres Surface"].rotation_euler.x = np.pi
     bpy.context.view_layer.update()
     assert bpy.ops.curecon.render_elevations() == {"FINISHED"}
     assert coloured(pages_of(OUT / "elevations.pdf")[4][2]).mean() < 0.01

@@ -163,8 +163,9 @@ try:
     for _ in range(2):
         surface = import_folder(folder)
     assert len(surfaces_of(scene)) == 1 and "My Door" in scene.objects
-    assert sorted(mesh.name for mesh in bpy.data.meshes) == ["My Door", "Surface"]
-    assert sorted(material.name for material in bpy.data.materials) == ["CU-Recon Colour", "Surface", "Surface Filled"]
+    assert sorted(mesh.name for mesh in bpy.data.meshes) == ["My Door", "one Surface"]
+    assert sorted(material.name for material in bpy.data.materials) == [
+        "CU-Recon Colour", "one Surface", "one Surface Filled"]
     check_geometry(surface.data, pages=1)
     image = surface.data.materials[0].node_tree.nodes["Colour"].image
     assert Path(bpy.path.abspath(image.filepath)) == folder / "textured" / "texture_0.png"
@@ -212,7 +213,7 @@ try:
     bpy.ops.wm.read_homefile(use_empty=True)
     surface = import_folder(two)
     check_geometry(surface.data, pages=2)
-    assert [item.name for item in surfaces_of(bpy.context.scene)] == ["Surface 1", "Surface 2"]
+    assert [item.name for item in surfaces_of(bpy.context.scene)] == ["two Surface 1", "two Surface 2"]
     assert bpy.context.scene.curecon.result.faces == 1600
 
     # An import can be undone and redone, and the switches work on what comes back.
