@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from curecon_blender.core.adjust.bundle import Bundle, adjust
 from curecon_blender.core.adjust.bundle_cpu import residuals
-from curecon_blender.core.adjust.precision import Precision, precision
+from curecon_blender.core.adjust.precision import precision
 
 LENS = np.array([[850.0, 1.0, 606.0, 446.0, 0.066, -0.043, -0.0046, 0.0026, 0.0]])
 SIZE = np.array([1200, 900])
@@ -98,7 +98,7 @@ def run(runs: int, photos: int, points: int, datum: str) -> Trials:
     """Adjust the site `runs` times."""
     truth, rng = site(photos, points, datum), np.random.default_rng(8)
     adjusted = [adjust(noisy(truth, rng)) for _ in range(runs)]
-    told: list[Precision] = [precision(bundle) for bundle in adjusted]
+    told = [precision(bundle) for bundle in adjusted]
     return Trials(
         errors=np.array([bundle.points - truth.points for bundle in adjusted]),
         shape_errors=np.array([shape_error(bundle.points, truth.points) for bundle in adjusted]),

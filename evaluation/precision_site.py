@@ -2,11 +2,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Told precision of a workspace's points against their true errors, where the site's surfaces are known.
 
-    python -m evaluation.precision_site WORKSPACE SITE [--model SITE]
+    python -m evaluation.precision_site WORKSPACE SITE
 
-An error is a point's distance along the normal from the true surface, where that is even; SITE has `truth/cloud.npz`, and
-`truth/images.txt` unless --model names the folder of the flight's true cameras. Errors of the shape are those left after
-the shift, turn and scale that fit the points best.
+An error is a point's distance along the normal from the true surface (SITE/truth/cloud.npz), where that is even. Errors
+of the shape are those left after the shift, turn and scale that fit the points best.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from scipy.spatial import cKDTree
 from curecon_blender.core.adjust.precision_record import read_precision
 
 NEAREST = 10  # true points that tell a surface
-EVEN = 0.015  # metres: root mean square distance of these from their plane
+EVEN = 0.004  # metres: root mean square distance of these from their plane
 FARTHEST = 1.0  # metres from the surface; what lies farther is another one's, or was matched wrongly
 
 
@@ -69,22 +68,6 @@ def fitted(places: np.ndarray, surface: Surface) -> np.ndarray:
     return places
 
 
-def true_centres(path: Path) -> dict[str, np.ndarray]:
-    """Camera centres (3,) of a COLMAP text model's images.txt, by name."""
-    centres = {}
-    for line in path.read_text().splitlines():
-        words = line.split()
-        if len(words) == 10 and not line.startswith("#"):
-            w, x, y, z = (float(word) for word in words[1:5])
-            rotation = np.array([
-                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-            ])
-            centres[words[9]] = -rotation.T @ np.array([float(word) for word in words[5:8]])
-    return centres
-
-
 def within(off: np.ndarray, normals: np.ndarray, covariances: np.ndarray) -> tuple[float, np.ndarray]:
     """The share of errors within one told sigma along the normal, and the told sigmas."""
     sigmas = np.sqrt(np.einsum("ni,nij,nj->n", normals, covariances, normals))
@@ -117,7 +100,8 @@ def report(
     about = places[near] - places[near].mean(axis=0)
     scale = float((moved * about).sum() / (about**2).sum())
     sigmas = np.sqrt(np.diag(datum))
-    print(f"as a whole: shift {shift.round(3)} m, told {sigmas[:3].round(3)} m; scale {scale:+.5f}, told {sigmas[6]:.5f}")
+    print(f"as a whole: shift {shift.round(3)} m, told {sigmas[:3].round(3)} m; "
+          f"scale {scale:+.5f}, told {sigmas[6]:.5f}")
 
 
 if __name__ == "__main__":

@@ -31,6 +31,8 @@ class CURECON_PT_cloud(Panel, bpy.types.Panel):
         layout.prop(cloud, "colour_by")
         if cloud.colour_by == display.NORMAL:
             paragraph(layout, context, "Red looks east, green north, blue up")
+        elif cloud.colour_by == display.SIGMA and not display.knows_precision(clouds_of(context.scene)):
+            paragraph(layout, context, "The precision is not known: run Reconstruct again, without a given model")
         elif cloud.colour_by != display.PHOTO and (node := display.ramp_node()) is not None:
             column = layout.column(align=True)
             row = column.row(align=True)

@@ -18,6 +18,7 @@ COLOURS = (
     (display.HEIGHT, "Height", "Height in the scene, in its units"),
     (display.CONFIDENCE, "Confidence", "How sure the depth maps were, from 0 to 1"),
     (display.VIEWS, "Confirming Views", "How many photos measured the point"),
+    (display.SIGMA, "Precision", "How far a point may be off within the site, one standard deviation, in scene units"),
     (display.NORMAL, "Normal", "Which way the surface looks: red east, green north, blue up"),
 )
 

@@ -13,12 +13,12 @@ import numpy as np
 from mathutils import Matrix
 
 from . import region
-from .points import COLOUR, MATERIAL, colour_material, linear, positions
+from .points import COLOUR, MATERIAL, PRECISION, colour_material, linear, positions
 
 MODIFIER = "CU-Recon Display"
 REMOVED = "removed"  # the attribute of points that the user took out
 REMOVED_KEY = "curecon_removed"  # on cloud data: tells one set of removed points from another
-PHOTO, HEIGHT, CONFIDENCE, VIEWS, NORMAL = "PHOTO", "HEIGHT", "CONFIDENCE", "VIEWS", "NORMAL"
+PHOTO, HEIGHT, CONFIDENCE, VIEWS, NORMAL, SIGMA = "PHOTO", "HEIGHT", "CONFIDENCE", "VIEWS", "NORMAL", "PRECISION"
 RAMP = ((0.0, (68, 20, 110)), (0.3, (40, 95, 150)), (0.55, (30, 155, 135)), (0.8, (150, 205, 70)),
         (1.0, (253, 231, 60)))  # sRGB, dark to light, so that it reads in grey as well
 RAMP_NODE, RANGE_NODE = "Ramp", "Range"
@@ -69,7 +69,7 @@ def apply(scene: bpy.types.Scene, clouds: list[bpy.types.Object]) -> None:
         if nodes_show:
             item.update_tag()
     if clouds:
-        _colour(display)
+        _colour(display, clouds[0].matrix_world.median_scale)
 
 
 def nodes_needed() -> bool:
@@ -93,6 +93,8 @@ def measure_range(scene: bpy.types.Scene, clouds: list[bpy.types.Object]) -> tup
             places = positions(item.data)[::step]
             row = np.array(item.matrix_world[2])
             values.append(places @ row[:3] + row[3])
+        elif kind == SIGMA:
+            values.append(_values(item.data, PRECISION, np.float32)[::step] * item.matrix_world.median_scale)
         else:
             values.append(_values(item.data, "views", np.int32)[::step])
     if not values or not sum(map(len, values)):
@@ -141,9 +143,15 @@ def ramp_node() -> bpy.types.Node | None:
     return None if material is None else material.node_tree.nodes.get(RAMP_NODE)
 
 
+def knows_precision(clouds: list[bpy.types.Object]) -> bool:
+    """Whether the points' standard deviations are known of any of the clouds."""
+    return any(PRECISION in item.data.attributes for item in clouds)
+
+
 def _values(data: bpy.types.PointCloud, name: str, kind: type) -> np.ndarray:
-    values: np.ndarray = np.empty(len(data.points), kind)
-    data.attributes[name].data.foreach_get("value", values)
+    values: np.ndarray = np.zeros(len(data.points), kind)
+    if name in data.attributes:  # not every cloud knows its precision
+        data.attributes[name].data.foreach_get("value", values)
     return values
 
 
@@ -273,11 +281,14 @@ def _material() -> bpy.types.Material:
     return material
 
 
-def _colour(display: Display) -> None:
+def _colour(display: Display, scale: float) -> None:
+    """Set the material to the settings; `scale` takes lengths in the clouds' own frame to the world's."""
     material = _material()
     nodes, links = material.node_tree.nodes, material.node_tree.links
-    scale, colours = nodes[RANGE_NODE], nodes[RAMP_NODE]
-    scale.inputs["From Min"].default_value, scale.inputs["From Max"].default_value = display.low, display.high
+    spread, colours = nodes[RANGE_NODE], nodes[RAMP_NODE]
+    own = 1 / scale if display.colour_by == SIGMA else 1.0
+    spread.inputs["From Min"].default_value = own * display.low
+    spread.inputs["From Max"].default_value = own * display.high
     if material.get("colour_by", PHOTO) == display.colour_by:
         return
     material["colour_by"] = display.colour_by
@@ -303,10 +314,10 @@ def _colour(display: Display) -> None:
     elif display.colour_by == HEIGHT:
         place, split = source("ShaderNodeNewGeometry"), source("ShaderNodeSeparateXYZ")
         links.new(place.outputs["Position"], split.inputs[0])
-        links.new(split.outputs["Z"], scale.inputs["Value"])
+        links.new(split.outputs["Z"], spread.inputs["Value"])
     else:
         value = source("ShaderNodeAttribute")
-        value.attribute_name = "confidence" if display.colour_by == CONFIDENCE else "views"
-        links.new(value.outputs["Fac"], scale.inputs["Value"])
+        value.attribute_name = {CONFIDENCE: "confidence", VIEWS: "views", SIGMA: PRECISION}[display.colour_by]
+        links.new(value.outputs["Fac"], spread.inputs["Value"])
     links.new(result, emission.inputs["Color"])
 

@@ -22,7 +22,8 @@ def spread(part: Part, first: np.ndarray, second: np.ndarray) -> float:
     item = items[0]
     places, back = points.positions(item.data), world_matrix(item).inverted()
     ends = [np.array(back @ Vector(end.tolist())) for end in (first, second)]
-    around = measuring.surroundings(places, ends[0]), measuring.surroundings(places, ends[1])
+    sigmas = points.vectors(item.data, "sigma") if "sigma" in item.data.attributes else None
+    around = tuple(measuring.surroundings(places, end, sigmas) for end in ends)
     return measuring.spread(ends[0], ends[1], around) * world_matrix(item).median_scale
 
 

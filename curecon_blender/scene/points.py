@@ -14,6 +14,7 @@ import numpy as np
 from ..core.cloud.ply import Cloud
 
 COLOUR = "Color"  # Blender's own spelling, which other tools look for
+PRECISION = "precision"  # the attribute of points whose standard deviation is known
 MATERIAL = "CU-Recon Colour"
 CLOUD_KEY = "curecon_cloud"  # on the point clouds that viewport.py draws: the points of their file
 VOXELS_PER_SPACING = 10  # about 20 points of a surface fall into a voxel of the radius estimate
@@ -38,7 +39,7 @@ class CloudArrays:
     """A cloud as its object stores it, in random order, so that any prefix of the points is a fair sample of the whole.
 
     `points` (N,3) in the object's frame; `radius` (N,) in world units, from the local spacing; `colours` (N,4) linear;
-    `confidence` (N,) in [0, 1]; `normals` (N,3); all float32; `views` (N,) int32.
+    `confidence` (N,) in [0, 1]; `normals` (N,3); `sigmas` (N,3) as in Cloud; all float32; `views` (N,) int32.
     """
 
     points: np.ndarray
@@ -47,6 +48,7 @@ class CloudArrays:
     confidence: np.ndarray
     views: np.ndarray
     normals: np.ndarray
+    sigmas: np.ndarray
 
     def __len__(self) -> int:
         return len(self.points)
@@ -58,13 +60,15 @@ def arrays(cloud: Cloud) -> CloudArrays:
     return CloudArrays(
         points=cloud.points[order], radius=radii(cloud.points)[order], colours=linear_colours(cloud.colours[order]),
         confidence=cloud.confidence[order], views=cloud.views[order].astype(np.int32), normals=cloud.normals[order],
+        sigmas=cloud.sigmas[order],
     )
 
 
 def build(content: CloudArrays, name: str, collection: bpy.types.Collection) -> Generator[str, None, bpy.types.Object]:
     """Link a PointCloud object into `collection`, an attribute a slice; returns it.
 
-    The attributes are position, radius, Color, confidence, views and normal.
+    The attributes are position, radius, Color, confidence, views, normal and, where it is known, sigma with its length,
+    precision.
     """
     yield "Making the point cloud"
     data = _new_pointcloud(name, len(content))
@@ -75,6 +79,7 @@ def build(content: CloudArrays, name: str, collection: bpy.types.Collection) -> 
     # there in colour. Material Preview and renders show the points themselves.
     item.display_type = "BOUNDS"
     collection.objects.link(item)
+    known = content.sigmas.any()
     yield from fill(data, "Making the point cloud", (
         ("position", "FLOAT_VECTOR", "POINT", "vector", content.points),
         ("radius", "FLOAT", "POINT", "value", content.radius),
@@ -82,6 +87,8 @@ def build(content: CloudArrays, name: str, collection: bpy.types.Collection) -> 
         ("confidence", "FLOAT", "POINT", "value", content.confidence),
         ("views", "INT", "POINT", "value", content.views),
         ("normal", "FLOAT_VECTOR", "POINT", "vector", content.normals),
+        *((("sigma", "FLOAT_VECTOR", "POINT", "vector", content.sigmas),
+           (PRECISION, "FLOAT", "POINT", "value", np.linalg.norm(content.sigmas, axis=1))) if known else ()),
     ))
     return item
 

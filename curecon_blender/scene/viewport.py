@@ -21,7 +21,7 @@ from gpu_extras.batch import batch_for_shader
 from mathutils import Euler, Matrix, Vector
 
 from . import cameras, display
-from .points import CLOUD_KEY, COLOUR, Bounds
+from .points import CLOUD_KEY, COLOUR, PRECISION, Bounds
 from .workspace import clouds_of
 
 MAX_POINT_PIXELS = 40.0
@@ -39,6 +39,7 @@ PIECE_SECONDS = 0.02  # a drawing begins to upload pieces for so long
 _ATTRIBUTES: dict[str, tuple[str, int, type]] = {
     "position": ("vector", 3, np.float32), COLOUR: ("color", 4, np.float32), "radius": ("value", 1, np.float32),
     "confidence": ("value", 1, np.float32), "views": ("value", 1, np.int32), "normal": ("vector", 3, np.float32),
+    PRECISION: ("value", 1, np.float32),
     display.REMOVED: ("value", 1, np.bool_),
 }
 
@@ -48,14 +49,14 @@ BLOCK = f"""
 struct CloudDisplay {{
   mat4 clip_from_object;
   mat4 region_from_object;
-  vec4 size;    // pixels of radius 1 at w = 1; smallest, largest
+  vec4 size;    // pixels of radius 1 at w = 1; smallest, largest; what takes lengths to the world
   vec4 least;   // confidence, views; 1 to show the region only; what to colour by, as in COLOURS
   vec4 value;   // height above the world's floor of (x, y, z, 1) in the object's frame
   vec4 range;   // the ramp's low and high end
   vec4 ramp[{RAMP_STEPS}];
 }};
 """
-COLOURS = (display.PHOTO, display.HEIGHT, display.CONFIDENCE, display.VIEWS, display.NORMAL)
+COLOURS = (display.PHOTO, display.HEIGHT, display.CONFIDENCE, display.VIEWS, display.NORMAL, display.SIGMA)
 VERTEX_SOURCE = f"""
 void main()
 {{
@@ -78,7 +79,8 @@ void main()
     shown = vec4(normal.xyz * 0.5 + 0.5, 1.0);
   }}
   else {{
-    float value = by == 1 ? dot(show.value, vec4(position, 1.0)) : by == 2 ? quality.x : quality.y;
+    float value = by == 1 ? dot(show.value, vec4(position, 1.0)) : by == 2 ? quality.x
+      : by == 3 ? quality.y : quality.z * show.size.w;
     float place = clamp((value - show.range.x) / (show.range.y - show.range.x), 0.0, 1.0) * {RAMP_STEPS - 1}.0;
     int step_below = min(int(place), {RAMP_STEPS - 2});
     shown = mix(show.ramp[step_below], show.ramp[step_below + 1], place - float(step_below));
@@ -233,7 +235,8 @@ def _draw() -> None:
         scale = item.matrix_world.median_scale * settings.size
         pixels = view.window_matrix[1][1] * region.height * 0.85 * scale
         smallest = max(1.0, MIN_POINT_PIXELS * settings.size)
-        block = _block(settings, item, view.perspective_matrix, (pixels, smallest, MAX_POINT_PIXELS, 0.0))
+        size = pixels, smallest, MAX_POINT_PIXELS, item.matrix_world.median_scale
+        block = _block(settings, item, view.perspective_matrix, size)
         shader.uniform_block("show", block)
         upload = _uploads.setdefault(_upload_key(item.data), _Upload())
         upload.go_on(item.data)
@@ -314,7 +317,7 @@ def _get_shader() -> gpu.types.GPUShader:
         info.vertex_in(0, "VEC3", "position")
         info.vertex_in(1, "VEC4", "colour")
         info.vertex_in(2, "FLOAT", "radius")
-        info.vertex_in(3, "VEC2", "quality")
+        info.vertex_in(3, "VEC3", "quality")
         info.vertex_in(4, "VEC4", "normal")
         between = gpu.types.GPUStageInterfaceInfo("curecon_points")
         between.flat("VEC4", "shown")
@@ -375,7 +378,8 @@ class _Upload:
 def _batch(piece: dict[str, np.ndarray]) -> gpu.types.GPUBatch:
     """The points whose attributes `piece` holds, by name, each (n, width)."""
     count = len(piece["position"])
-    quality = np.concatenate([piece["confidence"], piece["views"]], axis=1).astype(np.float32)
+    sigma = piece.get(PRECISION, np.zeros((count, 1)))  # not every cloud knows its own
+    quality = np.concatenate([piece["confidence"], piece["views"], sigma], axis=1).astype(np.float32)
     if display.REMOVED in piece:
         quality[piece[display.REMOVED][:, 0]] = -1  # below every threshold
     normals = np.zeros((count, 4), np.int8)
@@ -384,7 +388,7 @@ def _batch(piece: dict[str, np.ndarray]) -> gpu.types.GPUBatch:
     layout.attr_add(id="position", comp_type="F32", len=3, fetch_mode="FLOAT")
     layout.attr_add(id="colour", comp_type="U16", len=4, fetch_mode="INT_TO_FLOAT_UNIT")
     layout.attr_add(id="radius", comp_type="F32", len=1, fetch_mode="FLOAT")
-    layout.attr_add(id="quality", comp_type="F32", len=2, fetch_mode="FLOAT")
+    layout.attr_add(id="quality", comp_type="F32", len=3, fetch_mode="FLOAT")
     layout.attr_add(id="normal", comp_type="I8", len=4, fetch_mode="INT_TO_FLOAT_UNIT")
     vertices = gpu.types.GPUVertBuf(layout, count)
     vertices.attr_fill("position", piece["position"])

@@ -49,6 +49,7 @@ def colour_of_ground(*, blue: bool) -> tuple[float, float, float]:
     return backdrop.ground_colour(points.CloudArrays(
         points=places, radius=np.ones(len(x), np.float32), colours=colours.astype(np.float32),
         confidence=np.ones(len(x), np.float32), views=np.ones(len(x), np.int32), normals=up,
+        sigmas=np.zeros((len(x), 3), np.float32),
     ))
 
 

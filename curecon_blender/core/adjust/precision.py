@@ -8,39 +8,17 @@ only its own observations (Förstner and Wrobel 2016, Photogrammetric Computer V
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from . import bundle_cpu
 from .bundle import CAUCHY, Bundle
 from .bundle_cpu import LENS, POSE
+from .precision_record import Precision
 
 OUTLIER = 4.0  # sigmas of a residual from where on an observation tells nothing
 FAR = 30.0  # times the flight's extent
 SIMILARITY = 7  # shift, turn, scale
-
-
-@dataclass(frozen=True, kw_only=True)
-class Precision:
-    """Covariances of an adjusted bundle, in its world's metres, radians and pixels.
-
-    `points` (P,3,3) and `centres` (N,3,3) in the frame, with its datum; `turns` (N,3) and `lenses` (L,9) are sigmas.
-    `shapes` (P,3,3) are those of the points within the site: after the best shift, turn and scale. `datum` (7,7) is of
-    those: shift of the points' middle, turn, and relative scale. `held` is False where nothing but the photos says
-    where the model stands (a free network): then `points` and `centres` are of the shape too, and `datum` is 0.
-    """
-
-    points: np.ndarray
-    shapes: np.ndarray
-    centres: np.ndarray
-    turns: np.ndarray
-    lenses: np.ndarray
-    datum: np.ndarray
-    middle: np.ndarray
-    sigma: float  # of one coordinate of an observation, pixels
-    held: bool
 
 
 def precision(bundle: Bundle) -> Precision:
@@ -75,7 +53,9 @@ def precision(bundle: Bundle) -> Precision:
     poses = np.diag(cameras)[: POSE * photos].reshape(photos, POSE)
     at = POSE * np.arange(photos)[:, None, None] + 3
     return Precision(
-        points=points, shapes=shapes, middle=middle, datum=datum, held=held,
+        places=bundle.points, points=points, shapes=shapes, own=inverses,
+        rays=np.maximum(np.bincount(bundle.point[weights > 0], minlength=len(points)), 1), middle=middle, datum=datum,
+        held=held,
         centres=cameras[at + np.arange(3)[:, None], at + np.arange(3)],
         turns=np.sqrt(poses[:, :3]), lenses=np.sqrt(np.diag(cameras)[POSE * photos :].reshape(-1, LENS)),
         sigma=float(np.median(1 / np.sqrt(weights[weights > 0]))) if (weights > 0).any() else np.inf,

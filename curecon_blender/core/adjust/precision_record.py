@@ -2,16 +2,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """`precision.npz` beside a component's COLMAP model: how precisely its sparse points and cameras are known.
 
-Arrays, float32 unless said, in the site frame and its units: `places` (P,3) of the points by their number in the model;
-`points` (P,3,3) their covariances, `shapes` (P,3,3) those within the site, `own` (P,3,3) the part of a point's own
-observations, `rays` (P,) int32 how many these are; `centres` (N,3,3) and `turns` (N,3) of the cameras, by the photos'
-names, in radians; `lenses` (L,9) sigmas by the cameras' numbers; `datum` (7,7) float64; `middle` (3,); `sigma` pixels;
-`held` 1 where GPS or control hold the datum; `counts` (3,) int64: P, N, L.
+It holds the fields of Precision, float32 but for `datum`, and `counts` (3,): P, N, L.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,8 +21,19 @@ _MOST = 1 << 28
 
 
 @dataclass(frozen=True, kw_only=True)
-class PrecisionRecord:
-    """What the file holds, see above."""
+class Precision:
+    """Covariances of an adjusted component, in its frame's units, radians and pixels.
+
+    Of the sparse points in the order of their numbers: `places` (P,3); `points` (P,3,3) in the frame, with its datum;
+    `shapes` (P,3,3) within the site: after the best shift, turn and scale; `own` (P,3,3), the part that a point's own
+    observations contribute, and how many these are, `rays` (P,). Of the cameras by their photos' names: `centres`
+    (N,3,3), and sigmas of their `turns` (N,3). Sigmas of the `lenses` (L,9). `datum` (7,7) is of the shift of the
+    points' `middle` (3,), of the turn and of the relative scale of the site as a whole. `sigma` is that of one
+    observation, in pixels.
+
+    `held` is False where nothing but the photos says where the site stands (a free network): then `points` and `centres`
+    are of the shape too, and `datum` is 0.
+    """
 
     places: np.ndarray
     points: np.ndarray
@@ -46,8 +53,19 @@ class PrecisionRecord:
         """(7,) of the site as a whole: shift east, north, up in units, turn about x, y, z in radians, and scale."""
         return np.asarray(np.sqrt(np.diag(self.datum)))
 
+    def moved(self, scale: float, rotation: np.ndarray, translation: np.ndarray) -> Precision:
+        """The same where places are taken to scale * rotation (3,3) @ place + translation (3,)."""
+        turn = scale * rotation
+        similarity = np.eye(7)
+        similarity[:3, :3], similarity[3:6, 3:6] = turn, rotation
+        return replace(
+            self, places=self.places @ turn.T + translation, middle=turn @ self.middle + translation,
+            datum=similarity @ self.datum @ similarity.T,
+            **{name: turn @ getattr(self, name) @ turn.T for name in ("points", "shapes", "own", "centres")},
+        )
 
-def write_precision(folder: Path, record: PrecisionRecord) -> None:
+
+def write_precision(folder: Path, record: Precision) -> None:
     """Write the record into a component's folder, whole or not at all. Raises WorkspaceError."""
     single = {name: getattr(record, name).astype(np.float32)
               for name in ("places", "points", "shapes", "own", "centres", "turns", "lenses", "middle")}
@@ -57,9 +75,9 @@ def write_precision(folder: Path, record: PrecisionRecord) -> None:
                  held=np.int64(record.held), counts=counts)
 
 
-def read_precision(folder: Path) -> PrecisionRecord | None:
-    """The record in a component's folder; None where there is none, as for cameras that were brought in or not adjusted.
-    Raises WorkspaceError when it is damaged."""
+def read_precision(folder: Path) -> Precision | None:
+    """The record in a component's folder; None where there is none, as for cameras that were not adjusted. Raises
+    WorkspaceError when it is damaged."""
     path = folder / PRECISION_FILE
     if not path.exists():
         return None
@@ -84,4 +102,4 @@ def read_precision(folder: Path) -> PrecisionRecord | None:
             f"{path} is damaged ({error}).", remedy="Run Reconstruct again in this workspace.", path=path
         ) from error
     sigma, held = float(found.pop("sigma")), bool(found.pop("held"))
-    return PrecisionRecord(**found, sigma=sigma, held=held)
+    return Precision(**found, sigma=sigma, held=held)

@@ -24,7 +24,7 @@ end).
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +39,7 @@ from .agreement import BLOCK, Pixels, Sums, are_duplicates, confirm, meet
 from .depth_maps import BYTES_PER_PIXEL, DepthMap, DepthMaps, finest_first
 from .normals import RADIUS, normals
 from .ply import Cloud, CloudWriter
+from .precision import SparsePrecision
 
 _SPARSE = 16  # one pixel in so many, along rows and columns, tells whether two pictures have anything in common
 _VIEWS = 3  # N_c, as in the paper
@@ -103,7 +104,8 @@ def fuse(component: Component, workspace: Path, options: Options, reporter: Repo
         workspace / component.cloud, component.frame.shift
     ) as writer:
         depth_maps = DepthMaps(workspace, planned.cache, folder, z_up=component.frame.up != "given")
-        job = _Job(depth_maps, writer, options, min_views, reporter)
+        precision = SparsePrecision(workspace / component.sparse, component.views)
+        job = _Job(depth_maps, writer, precision, options, min_views, reporter)
         fused: list[tuple[View, Path]] = []  # views done, with the file of what they accepted
         for number, view in enumerate(order):
             near, file = neighbours[view.name], folder / f"{number}.accepted"
@@ -135,6 +137,7 @@ class _Job:
 
     depth_maps: DepthMaps
     writer: CloudWriter
+    precision: SparsePrecision
     options: Options
     min_views: int
     reporter: Reporter
@@ -199,7 +202,8 @@ def _fuse_band(reference: _Reference, top: int, bottom: int, job: _Job) -> Itera
         for start in range(top, bottom, strip):
             reporter.check_cancelled()
             stop = min(start + strip, bottom)
-            job.writer.write(band.cloud(start, stop))
+            cloud = band.cloud(start, stop)
+            job.writer.write(replace(cloud, sigmas=job.precision.sigmas(cloud.points, cloud.confidence, cloud.views)))
             file.write(band.accepted(start, stop).data)
 
 

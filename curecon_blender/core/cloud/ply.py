@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,7 @@ from ..base.reading import FARTHEST
 _POINT = row_type([
     ("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("nx", "<f4"), ("ny", "<f4"), ("nz", "<f4"),
     ("red", "u1"), ("green", "u1"), ("blue", "u1"), ("confidence", "<f4"), ("views", "u1"),
+    ("sigma_x", "<f4"), ("sigma_y", "<f4"), ("sigma_z", "<f4"),
 ])
 _REMEDY = "Export it as a binary little-endian PLY, or run Reconstruct again."
 
@@ -27,7 +28,8 @@ class Cloud:
     """A fused cloud in the component's world frame.
 
     `points` (N,3) float32; `colours` (N,3) uint8 sRGB; `normals` (N,3) float32 unit; `confidence` (N,) float32 in
-    [0, 1]; `views` (N,) uint8, the number of views that confirm a point (its own included).
+    [0, 1]; `views` (N,) uint8, the number of views that confirm a point (its own included); `sigmas` (N,3) float32, the
+    standard deviation of a point's place within the site along x, y, z, 0 where unknown (left out: all of it).
     """
 
     points: np.ndarray
@@ -35,14 +37,18 @@ class Cloud:
     normals: np.ndarray
     confidence: np.ndarray
     views: np.ndarray
+    sigmas: np.ndarray = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        if self.sigmas is None:
+            object.__setattr__(self, "sigmas", np.zeros((len(self.points), 3), np.float32))
 
     def __len__(self) -> int:
         return len(self.points)
 
     def take(self, which: np.ndarray) -> Cloud:
         """The points that `which` names, by number (n,) or as (N,) bool."""
-        return Cloud(self.points[which], self.colours[which], self.normals[which], self.confidence[which],
-                     self.views[which])
+        return Cloud(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
 
     def rotated(self, rotation: np.ndarray) -> Cloud:
         """The same points in axes to which `rotation` (3,3) takes the cloud's own."""
@@ -66,12 +72,13 @@ class CloudWriter(RowWriter):
         self.write_rows(table(_POINT, {
             "x y z": cloud.points, "nx ny nz": cloud.normals, "red green blue": cloud.colours,
             "confidence": cloud.confidence, "views": cloud.views,
+            "sigma_x sigma_y sigma_z": cloud.sigmas,
         }))
 
 
 def read_cloud(path: Path) -> Cloud:
-    """Read a binary little-endian PLY with at least x, y, z; missing colour, normal, confidence or views become
-    white, zero, 1 and 0. Raises WorkspaceError for a file that is missing, cut short or of another kind."""
+    """Read a binary little-endian PLY with at least x, y, z; missing colour, normal, confidence, views or sigmas
+    become white, zero, 1, 0 and 0. Raises WorkspaceError for a file that is missing, cut short or of another kind."""
     with _cloud_errors(path):
         rows = read_ply(path, ["vertex"])[1]["vertex"]
         return Cloud(
@@ -80,6 +87,7 @@ def read_cloud(path: Path) -> Cloud:
             normals=_values(rows, "nx ny nz", np.float32, 0),
             confidence=_values(rows, "confidence", np.float32, 1)[:, 0],
             views=_values(rows, "views", np.uint8, 0)[:, 0],
+            sigmas=_values(rows, "sigma_x sigma_y sigma_z", np.float32, 0),
         )
 
 

@@ -5,9 +5,10 @@
 The model. Each pick is off by two things: along the local surface by half the spacing of the measured points, since
 what was meant may lie between two of them; across it by the measured points' own scatter, the root-mean-square
 distance of the nearest ones from their plane. Where the pick lies farther from any measured point than their spacing,
-nobody measured there, and that gap counts in full. The two picks' parts along the measured line and the scale's own
-deviation times the length are independent and add in squares. What is shown is twice the standard deviation, which
-holds 19 times out of 20. A model that is bent as a whole is not seen by any of this.
+nobody measured there, and that gap counts in full. Scatter is what the matching is off by from point to point; where
+the points' standard deviations are known, which hold what cameras and lenses contribute as well, the larger of the two
+counts. The two picks' parts along the measured line and the scale's own deviation times the length are independent and
+add in squares. What is shown is twice the standard deviation, which holds 19 times out of 20. A model that is bent as a whole shows in the standard deviations alone.
 """
 
 from __future__ import annotations
@@ -24,25 +25,29 @@ SHOWN = 2.0  # standard deviations
 @dataclass(frozen=True, kw_only=True)
 class Surroundings:
     """Of the measured points about a pick, in their own unit: `spacing`, `scatter` off their plane, its unit `normal`
-    (3,), and the `gap` between the pick and the nearest of them."""
+    (3,), the `gap` between the pick and the nearest of them, and their own standard deviations `sigmas` (3,)."""
 
     spacing: float
     scatter: float
     normal: np.ndarray
     gap: float
+    sigmas: np.ndarray
 
     def sigma_along(self, direction: np.ndarray) -> float:
         """Standard deviation of the pick along a unit vector (3,)."""
         across = float(self.normal @ direction) ** 2
         gap = self.gap if self.gap > self.spacing else 0.0
-        return float(np.sqrt(across * self.scatter**2 + (1 - across) * (self.spacing / 2) ** 2 + gap**2))
+        measured = max(across * self.scatter**2, float(self.sigmas**2 @ direction**2))
+        return float(np.sqrt(measured + (1 - across) * (self.spacing / 2) ** 2 + gap**2))
 
 
-def surroundings(points: np.ndarray, place: np.ndarray) -> Surroundings | None:
-    """What the NEAREST of `points` (N,3) say about `place` (3,), in the points' unit; None for fewer than 4 points."""
+def surroundings(points: np.ndarray, place: np.ndarray, sigmas: np.ndarray | None = None) -> Surroundings | None:
+    """What the NEAREST of `points` (N,3) say about `place` (3,), in the points' unit; None for fewer than 4 points.
+    `sigmas` (N,3) are their standard deviations, where these are known."""
     if len(points) < 4:
         return None
-    points = _about(points, place)
+    about = _about(points, place)
+    points = points[about]
     squared = np.square(points[:, 0] - np.float32(place[0]))
     squared += np.square(points[:, 1] - np.float32(place[1]))
     squared += np.square(points[:, 2] - np.float32(place[2]))
@@ -56,17 +61,19 @@ def surroundings(points: np.ndarray, place: np.ndarray) -> Surroundings | None:
     area = np.pi * max(reach**2 - gap**2, 1e-12)
     return Surroundings(
         spacing=float(np.sqrt(area / count)), scatter=float(np.sqrt(max(values[0], 0.0))), normal=vectors[:, 0],
-        gap=gap,
+        gap=gap, sigmas=np.zeros(3) if sigmas is None else np.median(sigmas[about][chosen], axis=0),
     )
 
 
 def _about(points: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Those of points (N,3), in a cube about a place (3,), among which its nearest are: a sample's are no nearer."""
+    """Which of points (N,3), by number, lie in a cube about a place (3,) that holds its nearest: a sample's are no
+    nearer."""
     sample = np.linalg.norm(points[:: max(1, len(points) // SAMPLE)] - place, axis=1)
     reach = np.sort(sample)[:NEAREST].max(initial=0)
+    found = np.arange(len(points))
     for axis in range(3):
-        points = points[np.flatnonzero(np.abs(points[:, axis] - np.float32(place[axis])) <= reach)]
-    return points
+        found = found[np.abs(points[found, axis] - np.float32(place[axis])) <= reach]
+    return found
 
 
 def spread(first: np.ndarray, second: np.ndarray, around: tuple[Surroundings | None, Surroundings | None]) -> float:
