@@ -31,8 +31,8 @@ class Precision:
     points' `middle` (3,), of the turn and of the relative scale of the site as a whole. `sigma` is that of one
     observation, in pixels.
 
-    `held` is False where nothing but the photos says where the site stands (a free network): then `points` and `centres`
-    are of the shape too, and `datum` is 0.
+    `held` is False where nothing but the photos says where the site stands (a free network): then `points` and
+    `centres` are of the shape too, and `datum` is 0.
     """
 
     places: np.ndarray

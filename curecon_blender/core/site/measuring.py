@@ -8,7 +8,8 @@ distance of the nearest ones from their plane. Where the pick lies farther from 
 nobody measured there, and that gap counts in full. Scatter is what the matching is off by from point to point; where
 the points' standard deviations are known, which hold what cameras and lenses contribute as well, the larger of the two
 counts. The two picks' parts along the measured line and the scale's own deviation times the length are independent and
-add in squares. What is shown is twice the standard deviation, which holds 19 times out of 20. A model that is bent as a whole shows in the standard deviations alone.
+add in squares. What is shown is twice the standard deviation, which holds 19 times out of 20. A model that is bent as a
+whole shows in the standard deviations alone.
 """
 
 from __future__ import annotations
