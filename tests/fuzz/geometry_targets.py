@@ -148,3 +148,36 @@ def check_points(folder: Path) -> None:
     found = sparse_points.read(folder, _told())
     assert found.shape == (2, 4)
     assert np.isfinite(refinement.rasterise_points(found, 1.0, 9.0, (32, 32))).all()
+
+
+_PRECISION = {"places": (2, 3), "points": (2, 3, 3), "shapes": (2, 3, 3), "own": (2, 3, 3), "centres": (1, 3, 3),
+              "turns": (1, 3), "lenses": (1, 9), "datum": (7, 7), "middle": (3,)}
+
+
+def make_precision(folder: Path) -> None:
+    from curecon_blender.core.adjust.precision_record import Precision, write_precision
+
+    write_precision(folder, Precision(
+        **{name: np.ones(shape) for name, shape in _PRECISION.items()}, rays=np.array([2, 3]), sigma=0.5, held=True,
+    ))
+
+
+def precision_cases(folder: Path) -> st.SearchStrategy[tuple[str, bytes]]:
+    seed = {name: ("<f8" if name == "datum" else "<f4", shape,
+                   np.ones(shape, "<f8" if name == "datum" else "<f4").tobytes())
+            for name, shape in _PRECISION.items()}
+    seed |= {"rays": ("<i4", (2,), np.array([2, 3], "<i4").tobytes()), "sigma": ("<f8", (), np.ones(1).tobytes()),
+             "held": ("<i8", (), np.ones(1, "<i8").tobytes()), "counts": ("<i8", (3,), np.array([2, 1, 1]).tobytes())}
+    return st.tuples(st.just("precision.npz"), st.one_of(
+        spoiled_bytes((folder / "precision.npz").read_bytes()), archives(seed),
+    ))
+
+
+def check_precision(folder: Path) -> None:
+    from curecon_blender.core.adjust.precision_record import read_precision
+    from curecon_blender.core.cloud.precision import SparsePrecision
+
+    if (found := read_precision(folder)) is not None:
+        assert np.isfinite(found.datum_sigmas).all()
+        sigmas = SparsePrecision(folder, (some_view(),)).sigmas(np.zeros((1, 3)), np.ones(1), np.ones(1))
+        assert np.isfinite(sigmas).all()

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..base.errors import WorkspaceError
 from ..base.files import atomic_write
-from ..base.reading import Expected, read_arrays
+from ..base.reading import FARTHEST, Expected, read_arrays
 
 PRECISION_FILE = "precision.npz"
 _MOST = 1 << 28
@@ -92,11 +92,12 @@ def read_precision(folder: Path) -> Precision | None:
             "turns": Expected((photos, 3), "f"), "lenses": Expected((lenses, 9), "f"), "datum": Expected((7, 7), "f"),
             "middle": Expected((3,), "f"), "sigma": Expected((), "f"), "held": Expected((), "i"),
         })
-        if not all(np.isfinite(array).all() for array in found.values()):
-            raise ValueError("it holds what is no number")
+        if not all((np.abs(array) < FARTHEST).all() for array in found.values()):  # nor is what is no number
+            raise ValueError("it holds values that are no numbers, or beyond reach")
         if any((np.diagonal(found[name], axis1=-2, axis2=-1) < 0).any()
-               for name in ("points", "shapes", "own", "centres", "datum")) or (found["rays"] < 1).any():
-            raise ValueError("it holds variances below zero")
+               for name in ("points", "shapes", "own", "centres", "datum")) or (found["rays"] < 1).any() \
+                or found["sigma"] < 1e-3:
+            raise ValueError("it holds variances that are none")
     except (OSError, ValueError) as error:
         raise WorkspaceError(
             f"{path} is damaged ({error}).", remedy="Run Reconstruct again in this workspace.", path=path

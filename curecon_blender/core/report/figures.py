@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from ..adjust.record import ACCURACY_FILE, Accuracy, read_accuracy
+from ..adjust.precision_record import Precision, read_precision
+from ..adjust.record import ACCURACY_FILE, Accuracy, PhotoResidual, PointResidual, read_accuracy
 from ..base.records import Component, Photo
 from ..cloud.edits import read_removed
 from ..cloud.ply import Cloud, read_cloud
@@ -19,6 +20,7 @@ from ..surface.mesh import Mesh, filled_share, mesh_file, read_mesh, textured_fo
 from ..surface.triangles import triangle_areas
 from ..views import sparse_points
 
+MOST_OF = 75  # percent of a kind's points whose standard deviation speaks for it
 SEEN_WELL = 3  # photos that must see a surface for it to count as well seen
 CELLS = 400  # along the longest side of the site: cells of its surface, so that dense parts count no more than others
 SCALES = (20, 50, 100, 200, 500, 1000)  # of drawings
@@ -57,8 +59,19 @@ class Residuals:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Sigmas:
+    """Standard deviations in plan (each axis) and in height: of a point `within` the site, the median; of the site as a
+    `whole`, and its `scale`, relative; None where nothing but the photos says where it stands."""
+
+    within: tuple[float, float]
+    whole: tuple[float, float] | None
+    scale: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
 class Correctness:
-    """What the lengths rest on, and how well that agrees. `supports` is, for each kind of surface, the largest scale
+    """What the lengths rest on, and how well that agrees. Check points took no part in the adjustment; `left_out` are
+    control points, each off as the cameras are without it. `supports` is, for each kind of surface, the largest scale
     (its denominator) of a drawing that the figures carry; None where none does or nothing is known."""
 
     rests_on: str
@@ -66,6 +79,10 @@ class Correctness:
     adjusted: bool
     reprojection_error: float | None
     gps: Residuals | None
+    control: Residuals | None
+    check: Residuals | None
+    left_out: Residuals | None
+    sigmas: Sigmas | None
     supports: dict[str, int | None]
 
 
@@ -134,8 +151,7 @@ def measure(component: Component, photos: Sequence[Photo], workspace: Path) -> S
             pixel=pixel, texel=None if textured is None else texel_size(textured, painted.parent),
             blurred=sum(photo.blurred for photo in photos if photo.name in of_part),
         ),
-        correctness=_correctness(component, shown, pixel, read_accuracy(workspace / component.sparse)
-                                 if (workspace / component.sparse / ACCURACY_FILE).exists() else None),
+        correctness=_correctness(component, shown, pixel, workspace / component.sparse),
         integrity=Integrity(placed=len(component.views), photos=len(photos), seen_well=seen_well(shown), filled=filled),
         authenticity=Authenticity(
             filled=filled, unshown=None if textured is None else filled_share([textured]),
@@ -210,16 +226,37 @@ def kinds_of_surface(cloud: Cloud) -> dict[str, np.ndarray]:
     return {kind: which for kind, which in kinds.items() if which.mean() >= LEAST_SHARE}
 
 
-def _correctness(component: Component, cloud: Cloud, pixel: Spread, accuracy: Accuracy | None) -> Correctness:
-    frame = component.frame
-    off = np.array([residual.off for residual in accuracy.gps]) if accuracy and accuracy.gps else np.zeros((0, 3))
-    east, north, up = np.sqrt((off**2).mean(0)).tolist() if len(off) else (0.0, 0.0, 0.0)
+def _correctness(component: Component, cloud: Cloud, pixel: Spread, sparse: Path) -> Correctness:
+    frame, precision = component.frame, read_precision(sparse)
+    accuracy = read_accuracy(sparse) if (sparse / ACCURACY_FILE).exists() else None
+    told = accuracy or Accuracy(adjusted=False, reprojection_error=0.0)
+    supports: dict[str, int | None] = {}
+    for kind, which in kinds_of_surface(cloud).items():
+        sigma = float(np.percentile(cloud.sigmas[which].max(axis=1), MOST_OF))
+        known = frame.scale == "metres" and sigma > 0
+        supports[kind] = supported_scale(sigma, pixel.median) if known else None
     return Correctness(
-        rests_on=frame.note, metres=frame.scale == "metres", adjusted=accuracy is not None and accuracy.adjusted,
-        reprojection_error=None if accuracy is None else accuracy.reprojection_error,
-        gps=Residuals(count=len(off), rms=(east, north, up)) if len(off) else None,
-        supports=dict.fromkeys(kinds_of_surface(cloud)),
+        rests_on=frame.note, metres=frame.scale == "metres", adjusted=told.adjusted,
+        reprojection_error=None if accuracy is None else accuracy.reprojection_error, gps=_residuals(told.gps),
+        control=_residuals(told.control), check=_residuals(told.check), left_out=_residuals(told.left_out),
+        sigmas=_sigmas(cloud, precision), supports=supports,
     )
+
+
+def _residuals(found: Sequence[PhotoResidual] | Sequence[PointResidual]) -> Residuals | None:
+    if not found:
+        return None
+    east, north, up = np.sqrt((np.array([residual.off for residual in found]) ** 2).mean(axis=0)).tolist()
+    return Residuals(count=len(found), rms=(east, north, up))
+
+
+def _sigmas(cloud: Cloud, precision: Precision | None) -> Sigmas | None:
+    if precision is None or not cloud.sigmas.any():
+        return None
+    x, y, z = np.median(cloud.sigmas, axis=0).tolist()
+    east, north, up, *_, scale = precision.datum_sigmas.tolist()
+    return Sigmas(within=(max(x, y), z), whole=(max(east, north), up) if precision.held else None,
+                  scale=scale if precision.held else None)
 
 
 def supported_scale(sigma: float, pixel: float) -> int | None:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from PIL import Image
 
+from ..cloud.ply import Cloud
 from . import maps
 from .figures import SEEN_WELL, Correctness, Part, Residuals, Site
 from .provenance import Provenance
@@ -33,7 +34,7 @@ def sections_of(site: Site) -> list[Section]:
     plan = maps.plan_of(cloud.points, "m" if part.correctness.metres else "units")
     return [
         _clearness(part, (("From above, in the photos' colours", maps.photo_map(plan, cloud.colours)),)),
-        _accuracy(part),
+        _accuracy(part, _precision_map(cloud, plan, metres=part.correctness.metres)),
         _integrity(part, ((
             "How many photos see the surface",
             maps.ramp_map(plan, cloud.views.astype(float), 2, _MOST_VIEWS, ["2", "5", f"{_MOST_VIEWS} or more"]),
@@ -87,16 +88,20 @@ def _clearness(part: Part, pictures: tuple[tuple[str, Image.Image], ...]) -> Sec
     return Section(title="Clearness", sentence=sentence, rows=tuple(rows), pictures=pictures)
 
 
-def _accuracy(part: Part) -> Section:
+def _accuracy(part: Part, pictures: tuple[tuple[str, Image.Image], ...]) -> Section:
     correct = part.correctness
     rows = [("Scale and place", correct.rests_on),
             ("Cameras", "adjusted with all that is known" if correct.adjusted else "as found or as given"),
             ("Reprojection error, mean",
              "not known" if correct.reprojection_error is None else f"{correct.reprojection_error:.2f} pixels")]
     rows += _residual_rows("GPS of the photos", correct.gps)
+    rows += _residual_rows("Control points, which the adjustment used", correct.control)
+    rows += _residual_rows("Control points, each left out in turn", correct.left_out)
+    rows += _residual_rows("Check points, which it did not use", correct.check)
+    rows += _precision_rows(correct)
     for kind, scale in correct.supports.items():
         rows.append((f"Drawing of {kind}", "not known" if scale is None else f"up to 1:{scale}"))
-    return Section(title="Accuracy", sentence=_supported(correct), rows=tuple(rows))
+    return Section(title="Accuracy", sentence=_supported(correct), rows=tuple(rows), pictures=pictures)
 
 
 def _supported(correct: Correctness) -> str:
@@ -107,6 +112,28 @@ def _supported(correct: Correctness) -> str:
         return "How precise the points are is not known, so no scale of a drawing can be named."
     said = [f"1:{scale} of {kind}" for kind, scale in known.items()]
     return f"Drawings are supported up to {_listed(said)}."
+
+
+def _precision_rows(correct: Correctness) -> list[tuple[str, str]]:
+    """Standard deviations in words."""
+    if correct.sigmas is None:
+        return [("Standard deviation of a point", "not known")]
+    plan, height = (length(value, metres=correct.metres) for value in correct.sigmas.within)
+    rows = [("Standard deviation of a point within the site, median", f"{plan} in plan, {height} in height")]
+    if correct.sigmas.whole is None or correct.sigmas.scale is None:
+        return [*rows, ("Standard deviation of the site as a whole", "nothing but the photos says where it stands")]
+    plan, height = (length(value, metres=correct.metres) for value in correct.sigmas.whole)
+    return [*rows, ("Standard deviation of the site as a whole",
+                    f"{plan} in plan, {height} in height, {100 * correct.sigmas.scale:.2f} % of every length")]
+
+
+def _precision_map(cloud: Cloud, plan: maps.Plan, *, metres: bool) -> tuple[tuple[str, Image.Image], ...]:
+    sigma = np.linalg.norm(cloud.sigmas, axis=1)
+    if not sigma.any():
+        return ()
+    low, high = np.percentile(sigma, [2, 98]).tolist()
+    labels = [length(value, metres=metres) for value in (low, (low + high) / 2, high)]
+    return (("Standard deviation of the points within the site", maps.ramp_map(plan, sigma, low, high, labels)),)
 
 
 def _residual_rows(what: str, residuals: Residuals | None) -> list[tuple[str, str]]:
