@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from curecon_blender.core.adjust import bundle as adjustment
 from curecon_blender.core.adjust.bundle import Bundle, adjust
 from curecon_blender.core.adjust.bundle_cpu import residuals
 from curecon_blender.core.adjust.precision import precision
@@ -95,7 +96,8 @@ def shape_error(found: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 
 def run(runs: int, photos: int, points: int, datum: str) -> Trials:
-    """Adjust the site `runs` times."""
+    """Adjust the site `runs` times. Its observations have no error in common, and count in full."""
+    adjustment.TOGETHER = 1.0
     truth, rng = site(photos, points, datum), np.random.default_rng(8)
     adjusted = [adjust(noisy(truth, rng)) for _ in range(runs)]
     told = [precision(bundle) for bundle in adjusted]

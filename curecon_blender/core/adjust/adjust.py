@@ -20,6 +20,8 @@ from ..sparse.record import FRAME_FILE, read_frame
 from . import bending
 from .bundle import LENS_PARAMETERS, Bundle, adjust, fit_points, posterior_sigmas
 from .conversion import registered, started, to_bundle, write_back
+from .precision import precision
+from .precision_record import Precision, write_precision
 from .priors import FOCAL, MAKER, NOTHING, gps_positions, lens_priors
 from .record import ACCURACY_FILE, Accuracy, LensFound, PhotoResidual
 
@@ -42,10 +44,17 @@ _K3 = LENS_PARAMETERS.index("k3")
 
 @dataclass(frozen=True, kw_only=True)
 class Adjusted:
-    """A model as adjusted: the bundle with what was known of it, and what that was of each lens."""
+    """A model as adjusted: the bundle with what was known of it, what that was of each lens, and how precisely it is
+    known now."""
 
     bundle: Bundle
     sources: tuple[str, ...]
+    precision: Precision
+
+    def moved(self, transform: pycolmap.Sim3d) -> Adjusted:
+        """The same where the model was moved; its bundle stays."""
+        moved = self.precision.moved(transform.scale, transform.rotation.matrix(), transform.translation)
+        return replace(self, precision=moved)
 
 
 def adjust_cameras(photo_set: PhotoSet, workspace: Path, reporter: Reporter) -> list[Frame]:
@@ -65,25 +74,29 @@ def adjust_cameras(photo_set: PhotoSet, workspace: Path, reporter: Reporter) -> 
         )
     folders = find_models(workspace / MAPPED)
     components: list[tuple[pycolmap.Reconstruction, dict[str, Any]]] = []
-    frames = []
+    frames, precisions = [], []
     for index, folder in enumerate(folders):
         reporter.progress(index, len(folders))
         model = read_model(folder)
         if (folder / FRAME_FILE).is_file():
             frame = read_frame(folder)
-            accuracy = _judged(model, photos, frame, None)
+            accuracy, told = _judged(model, photos, frame, None), None
         else:
-            frame, accuracy = _placed(model, photos, index, reporter)
+            frame, accuracy, told = _placed(model, photos, index, reporter)
         components.append((model, {FRAME_FILE: frame, ACCURACY_FILE: accuracy}))
         frames.append(frame)
+        precisions.append(told)
     write_components(workspace, ADJUSTED, components)
+    for index, told in enumerate(precisions):
+        if told is not None:
+            write_precision(workspace / ADJUSTED / str(index), told)
     reporter.progress(len(folders), len(folders))
     return frames
 
 
 def _placed(
     model: pycolmap.Reconstruction, photos: Mapping[str, Photo], index: int, reporter: Reporter
-) -> tuple[Frame, Accuracy]:
+) -> tuple[Frame, Accuracy, Precision | None]:
     """Bring a mapped model into the site frame, in place, adjusted where that can be; tell what the user must know."""
     placement, adjusted = place_and_adjust(model, photos, reporter)
     _warn_of_gps(placement, model.num_reg_images(), index, reporter)
@@ -96,7 +109,7 @@ def _placed(
             f"The drone flew while its photos were read out row by row: by about {accuracy.shutter_shift:.1f} pixels. "
             "That bends the model a little. Fly slower, or stop for each photo."
         )
-    return replace(placement.frame, doubt=doubt), accuracy
+    return replace(placement.frame, doubt=doubt), accuracy, adjusted.precision if adjusted else None
 
 
 def place_and_adjust(
@@ -113,13 +126,14 @@ def place_and_adjust(
     again = place(model, photos)
     if frame.up != "gps" or again.frame.up != "gps" or frame.origin is None or frame.origin.altitude is None:
         model.transform(again.site_from_model)
-        return again, adjusted
+        return again, adjusted.moved(again.site_from_model)
     # GPS with its sigmas and all else have put it in its place; but for the ground, whose height has changed.
     level = float(middle_on_the_ground(np.array([point.xyz for point in model.points3D.values()]))[2])
-    model.transform(pycolmap.Sim3d(1.0, pycolmap.Rotation3d(), np.array([0.0, 0.0, -level])))
+    to_ground = pycolmap.Sim3d(1.0, pycolmap.Rotation3d(), np.array([0.0, 0.0, -level]))
+    model.transform(to_ground)
     frame = replace(again.frame, origin=replace(frame.origin, altitude=frame.origin.altitude + level))
     off = [np.linalg.norm(residual.off) for residual in _gps_residuals(model, photos, frame)]
-    return replace(again, frame=with_residual(frame, float(np.median(off)))), adjusted
+    return replace(again, frame=with_residual(frame, float(np.median(off)))), adjusted.moved(to_ground)
 
 
 def _judged(
@@ -199,7 +213,8 @@ def adjust_model(
         return None
     adjusted = adjust(adjusted.observing(mapped), reporter.check_cancelled, _ROUGHLY)
     write_back(adjusted, model)
-    return Adjusted(bundle=_restated(adjusted, mapped, mapped.lens_sigmas), sources=tuple(sources))
+    return Adjusted(bundle=_restated(adjusted, mapped, mapped.lens_sigmas), sources=tuple(sources),
+                    precision=precision(adjusted, mapped.lens_sigmas))
 
 
 def lenses_found(bundle: Bundle, sources: Sequence[str]) -> tuple[tuple[LensFound, ...], float]:

@@ -18,13 +18,17 @@ from .precision_record import Precision
 
 OUTLIER = 4.0  # sigmas of a residual from where on an observation tells nothing
 EFFICIENCY = 0.915  # of the adjustment's estimator where errors are normal: Cauchy's of two coordinates
+LEFT_OPEN = 0.3  # of what is known of a lens parameter: the photos tell it better, or not
 _ROUNDS = 3
 FAR = 30.0  # times the flight's extent
 SIMILARITY = 7  # shift, turn, scale
 
 
-def precision(bundle: Bundle) -> Precision:
+def precision(bundle: Bundle, lens_sigmas: np.ndarray | None = None) -> Precision:
     """The precision of a bundle that is adjusted: its residuals tell how good its observations are.
+
+    `lens_sigmas` (L,9) are those of what is known of the lenses, where the adjustment held some of it fast: that is as
+    far off as they say, or as the photos leave open, and takes with it what was fitted to it.
 
     Positions are taken to err by an offset that all photos share, as large as each one's sigma, and by what changes
     from photo to photo as slowly as their residuals show: the mean of many is hardly better than one.
@@ -34,9 +38,13 @@ def precision(bundle: Bundle) -> Precision:
     held = bool(np.isfinite(bundle.position_sigmas).any() or len(bundle.control) >= 3)
     middle, photos = bundle.points.mean(axis=0), len(bundle.centres)
     moves = _similarities(bundle, middle)
-    cameras = _inverse(system if held else system + _gauge(moves, system))
+    if not held:
+        system += _gauge(moves, system)
+    cameras = _inverse(_with_lenses(system, bundle.lens_sigmas))
     if held:
         cameras += cameras @ _shared(bundle) @ cameras
+    if lens_sigmas is not None:
+        cameras += _of_held_lenses(system, cameras, bundle.lens_sigmas, lens_sigmas)
     of_points = _similarity_of(bundle.points - middle)
     towards = bundle_cpu.shape_response(
         bundle.photo, bundle.lens_of, bundle.starts, photos, inverses, coupling, of_points, len(system)
@@ -83,8 +91,8 @@ def _weights(bundle: Bundle) -> np.ndarray:
 
 
 def _system(bundle: Bundle, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The reduced system (D,D) with all that is known beforehand, and as bundle_cpu.reduce gives them the points'
-    inverse blocks and each observation's coupling."""
+    """The reduced system (D,D) with all that is known of positions and attitudes; the points' inverse blocks and each
+    observation's coupling, as bundle_cpu.reduce gives them."""
     size = POSE * len(bundle.centres) + bundle.lenses.size
     system = np.zeros((size, size))
     # No point is known to less than FAR: a ray alone, or two side by side, would leave a block without an inverse.
@@ -96,8 +104,29 @@ def _system(bundle: Bundle, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray
     )
     system = np.tril(system) + np.tril(system, -1).T
     poses = np.column_stack([np.repeat(bundle.attitude_sigmas[:, None], 3, axis=1), bundle.position_sigmas])
-    system[np.diag_indices(size)] += np.concatenate([1 / poses.ravel() ** 2, 1 / bundle.lens_sigmas.ravel() ** 2])
+    system[np.diag_indices(poses.size)] += 1 / poses.ravel() ** 2
     return system, inverses, coupling
+
+
+def _with_lenses(system: np.ndarray, lens_sigmas: np.ndarray) -> np.ndarray:
+    """The system with what is known of the lenses, by sigmas (L,9)."""
+    result, at = system.copy(), np.arange(len(system) - lens_sigmas.size, len(system))
+    result[at, at] += 1 / lens_sigmas.ravel() ** 2
+    return result
+
+
+def _of_held_lenses(system: np.ndarray, cameras: np.ndarray, held: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """(D,D) what parameters of lenses that were held fast, with sigmas (L,9) smaller than what is `known` of them, add
+    to the covariance of cameras (Schmidt 1966)."""
+    first = len(system) - held.size
+    at = first + np.flatnonzero((held < known).ravel())
+    open_ = np.sqrt(np.diag(_inverse(_with_lenses(system, known)))[at])
+    sigmas = known.ravel()[at - first]
+    # What the photos hardly know was left at what is known of it, and is off by as much.
+    off = np.where(open_ > LEFT_OPEN * sigmas, sigmas, open_)
+    follows = -cameras @ system[:, at]
+    follows[at] = np.eye(len(at))
+    return np.asarray((follows * off**2) @ follows.T)
 
 
 def _inverse(system: np.ndarray) -> np.ndarray:
@@ -134,15 +163,14 @@ def _shared(bundle: Bundle) -> np.ndarray:
     """(D,D) what positions that err alike add to the variance of their gradient, which is their information."""
     photos = len(bundle.centres)
     result = np.zeros((POSE * photos + bundle.lenses.size,) * 2)
-    told = np.flatnonzero(np.isfinite(bundle.position_sigmas).all(axis=1))
-    if not len(told):
-        return result
-    off = ((bundle.centres - bundle.positions) / bundle.position_sigmas)[told]
-    alike = _kept(off) ** np.abs(told[:, None] - told[None])
+    told = np.isfinite(bundle.position_sigmas)
+    off = np.where(told, (bundle.centres - bundle.positions) / bundle.position_sigmas, 0.0)
+    kept = _kept(off[told.any(axis=1)])
     for axis in range(3):
-        sigma = bundle.position_sigmas[told, axis]
-        at = POSE * told + 3 + axis
-        result[np.ix_(at, at)] = (alike + 1 - np.eye(len(told))) / np.outer(sigma, sigma)
+        photo = np.flatnonzero(told[:, axis])
+        sigma, at = bundle.position_sigmas[photo, axis], POSE * photo + 3 + axis
+        alike = kept ** np.abs(photo[:, None] - photo[None])
+        result[np.ix_(at, at)] = (alike + 1 - np.eye(len(photo))) / np.outer(sigma, sigma)
     return result
 
 
