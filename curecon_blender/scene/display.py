@@ -99,7 +99,8 @@ def measure_range(scene: bpy.types.Scene, clouds: list[bpy.types.Object]) -> tup
             values.append(_values(item.data, "views", np.int32)[::step])
     if not values or not sum(map(len, values)):
         return 0.0, 1.0
-    low, high = np.percentile(np.concatenate(values), [2, 98])
+    # What is far off is known so much worse that a site would be all of one colour.
+    low, high = np.percentile(np.concatenate(values), [2, 80 if kind == SIGMA else 98])
     return float(low), float(max(high, low + 1e-3))
 
 

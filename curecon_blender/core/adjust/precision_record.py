@@ -83,7 +83,7 @@ def read_precision(folder: Path) -> Precision | None:
         return None
     try:
         points, photos, lenses = (int(count) for count in read_arrays(path, {"counts": Expected((3,), "i")})["counts"])
-        if not (min(points, photos, lenses) >= 0 and 128 * points + 48 * photos < min(path.stat().st_size, _MOST)):
+        if not (min(points, photos, lenses) >= 0 and 120 * points + 48 * photos < min(path.stat().st_size, _MOST)):
             raise ValueError("its counts are not those of its arrays")
         found = read_arrays(path, {
             "places": Expected((points, 3), "f"), "points": Expected((points, 3, 3), "f"),

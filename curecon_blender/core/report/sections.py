@@ -131,7 +131,7 @@ def _precision_map(cloud: Cloud, plan: maps.Plan, *, metres: bool) -> tuple[tupl
     sigma = np.linalg.norm(cloud.sigmas, axis=1)
     if not sigma.any():
         return ()
-    low, high = np.percentile(sigma, [2, 98]).tolist()
+    low, high = np.percentile(sigma, [2, 90]).tolist()
     labels = [length(value, metres=metres) for value in (low, (low + high) / 2, high)]
     return (("Standard deviation of the points within the site", maps.ramp_map(plan, sigma, low, high, labels)),)
 
