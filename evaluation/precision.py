@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from curecon_blender.core.adjust import bundle as adjustment
 from curecon_blender.core.adjust.bundle import Bundle, adjust
 from curecon_blender.core.adjust.bundle_cpu import residuals
 from curecon_blender.core.adjust.precision import precision
@@ -96,8 +95,7 @@ def shape_error(found: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 
 def run(runs: int, photos: int, points: int, datum: str) -> Trials:
-    """Adjust the site `runs` times. Its observations have no error in common, and count in full."""
-    adjustment.TOGETHER = 1.0
+    """Adjust the site `runs` times."""
     truth, rng = site(photos, points, datum), np.random.default_rng(8)
     adjusted = [adjust(noisy(truth, rng)) for _ in range(runs)]
     told = [precision(bundle) for bundle in adjusted]

@@ -4,7 +4,8 @@
 photos  renders the drone photos and writes the true poses (default: samples/tulou)
 depth   writes each photo's exact z-depth as DIR/NAME.npz: key `depth`, (H, W) float32 metres, 0 in the sky
 cloud   rebuilds truth/cloud.npz from depth maps (DIR as made by `depth`; made in a temporary folder if left out)
-nadir   renders the second flight, straight down with targets on the ground (default: samples/tulou_nadir)
+nadir   renders the second flight, straight down with targets on the ground to DIR
+nadir-small  makes the samples/tulou_nadir that is kept, two thirds as large, of the second flight in DIR
 nadir-depth  writes the z-depth of its pinhole pictures, as `depth` does (see tulou/README.md)
 
 Needs Python 3.11 with bpy 4.5, numpy and pillow; the second flight also scipy, opencv and pycolmap.
@@ -41,9 +42,10 @@ from site_scene import (
     set_photo_renderer,
     sun_direction,
 )
-from site_targets import add_targets, marks, write_targets
+from site_targets import add_targets, marks, shrink_targets, write_targets
 from site_truth import make_cloud, write_model
 
+SMALL = 2 / 3  # of the second flight's photos, as it is kept with the sample
 TULOU = Path(__file__).resolve().parent / "tulou"
 
 
@@ -93,6 +95,17 @@ def render_nadir(chosen: set[int], out: Path, samples: int) -> None:
             print(f"{shot.name}: {time.monotonic() - start:.1f} s", flush=True)
 
 
+def shrink_nadir(folder: Path, out: Path) -> None:
+    """Make the second flight in `folder` SMALL as large: photos, targets with their marks, truth."""
+    (out / "photos").mkdir(parents=True, exist_ok=True)
+    shots, small = nadir_flight()["standard"], (round(WIDTH * SMALL), round(HEIGHT * SMALL))
+    for shot in shots:
+        picture = Image.open(folder / "photos" / shot.name).resize(small, Image.Resampling.LANCZOS)
+        save_photo(np.asarray(picture), shot, out / "photos" / shot.name)
+    write_model(shots, f"OPENCV {small[0]} {small[1]} {LENS.scaled(SMALL).colmap()}", out / "truth")
+    shrink_targets(folder / "targets", out / "targets", SMALL)
+
+
 def render_depths(
     shots: list[Shot], out: Path, focal: float = FOCAL, width: int = WIDTH, height: int = HEIGHT, targets: bool = False
 ) -> None:
@@ -130,7 +143,7 @@ def build_cloud(shots: list[Shot], depth_folder: Path, path: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("photos", "depth", "cloud", "nadir", "nadir-depth"))
+    parser.add_argument("what", choices=("photos", "depth", "cloud", "nadir", "nadir-small", "nadir-depth"))
     parser.add_argument("--out", type=Path, help="photos: the site's folder; depth and cloud: that of the depth maps")
     parser.add_argument("--photos", type=int, nargs="+", help="numbers of the photos to render (default: all)")
     parser.add_argument("--samples", type=int, default=4, help="rays a pixel of the photos (default: 4)")
@@ -142,13 +155,15 @@ def main() -> None:
         lens = f"PINHOLE {WIDTH} {HEIGHT} {FOCAL} {FOCAL} {WIDTH / 2} {HEIGHT / 2}"
         write_model(shots, lens, out / "truth")
         render_photos(chosen, out, arguments.samples)
-    elif arguments.what == "nadir":
-        render_nadir(set(arguments.photos or ()), arguments.out or TULOU.with_name("tulou_nadir"), arguments.samples)
-    elif arguments.what in ("depth", "nadir-depth"):
+    elif arguments.what != "cloud":
         if arguments.out is None:
             parser.error(f"{arguments.what} needs --out")
         if arguments.what == "depth":
             render_depths(chosen, arguments.out)
+        elif arguments.what == "nadir":
+            render_nadir(set(arguments.photos or ()), arguments.out, arguments.samples)
+        elif arguments.what == "nadir-small":
+            shrink_nadir(arguments.out, TULOU.with_name("tulou_nadir"))
         else:
             shots = [s for i, s in enumerate(nadir_flight()["rtk"], 1) if not arguments.photos or i in arguments.photos]
             render_depths(shots, arguments.out, PINHOLE_FOCAL, PINHOLE_WIDTH, PINHOLE_HEIGHT, targets=True)

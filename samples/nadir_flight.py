@@ -38,6 +38,10 @@ class Lens:
         """The parameters of COLMAP's OPENCV model."""
         return f"{self.f} {self.f} {self.cx} {self.cy} {self.k1} {self.k2} {self.p1} {self.p2}"
 
+    def scaled(self, scale: float) -> Lens:
+        """The lens of pictures `scale` as large."""
+        return replace(self, f=scale * self.f, cx=scale * self.cx, cy=scale * self.cy)
+
     def distort(self, uv: np.ndarray) -> np.ndarray:
         """Pixels (..., 2) of rays (..., 2), x / z and y / z."""
         u, v = uv[..., 0], uv[..., 1]

@@ -104,3 +104,16 @@ def write_targets(points: np.ndarray, found: list[tuple[int, str, float, float]]
         for n, photo, x, y in sorted(found)
     ]
     (folder / "gcp_list.txt").write_text("\n".join([f"WGS84 UTM {zone}N", *lines]) + "\n")
+
+
+def shrink_targets(folder: Path, out: Path, scale: float) -> None:
+    """Copy the targets' files; the marks are those of photos `scale` as large."""
+    out.mkdir(parents=True, exist_ok=True)
+    for name in ("targets.csv", "targets_site.csv"):
+        (out / name).write_text((folder / name).read_text())
+    system, *lines = (folder / "gcp_list.txt").read_text().splitlines()
+    shrunk = []
+    for line in lines:
+        x, y, z, column, row, *names = line.split()
+        shrunk.append(" ".join([x, y, z, f"{float(column) * scale:.3f}", f"{float(row) * scale:.3f}", *names]))
+    (out / "gcp_list.txt").write_text("\n".join([system, *shrunk]) + "\n")

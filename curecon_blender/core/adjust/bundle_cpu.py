@@ -263,11 +263,12 @@ def shape_response(
 def point_covariances(
     photo: np.ndarray, lens_of: np.ndarray, starts: np.ndarray, photos: int, inverses: np.ndarray,
     coupling: np.ndarray, of_points: np.ndarray, cameras: np.ndarray, through: np.ndarray, datum: np.ndarray,
+    by_rays: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """(P,3,3) of the points, and of what is left after the similarity (7) of the points is taken off.
 
     `cameras` (D,D) is the covariance of photos and lenses, `through` (D,7) theirs with the similarity, `datum` (7,7)
-    the similarity's own.
+    the similarity's own; `by_rays` (P,3,3) is what the points' own observations contribute.
     """
     count, kinds = len(inverses), datum.shape[0]
     points, shapes = np.empty((count, 3, 3)), np.empty((count, 3, 3))
@@ -276,7 +277,7 @@ def point_covariances(
     own, cross, with_similarity = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, kinds))
     for p in range(count):
         n = _followed(p, photo, lens_of, starts, photos, inverses[p], coupling, at, follows)
-        own[:], with_similarity[:] = inverses[p], 0
+        own[:], with_similarity[:] = by_rays[p], 0
         for i in range(n):
             for k in range(kinds):
                 for axis in range(3):

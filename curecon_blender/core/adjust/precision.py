@@ -34,7 +34,13 @@ def precision(bundle: Bundle, lens_sigmas: np.ndarray | None = None) -> Precisio
     from photo to photo as slowly as their residuals show: the mean of many is hardly better than one.
     """
     weights = _weights(bundle)
-    system, inverses, coupling = _system(bundle, weights)
+    told = np.zeros(len(weights), bool) if bundle.observation_sigmas is None else ~np.isnan(bundle.observation_sigmas)
+    # What features have in common does not grow less with their number, but is no error of a single point's own rays.
+    together = np.where(told, 1.0, bundle.together**-2)
+    system, inverses, coupling = _system(bundle, weights * together)
+    alone = np.ones(len(bundle.points))
+    np.minimum.at(alone, bundle.point, together)
+    own = inverses * alone[:, None, None]
     held = bool(np.isfinite(bundle.position_sigmas).any() or len(bundle.control) >= 3)
     middle, photos = bundle.points.mean(axis=0), len(bundle.centres)
     moves = _similarities(bundle, middle)
@@ -53,7 +59,7 @@ def precision(bundle: Bundle, lens_sigmas: np.ndarray | None = None) -> Precisio
     responses = np.linalg.solve(normal, towards)  # (7,D): the similarity by which the points follow the cameras
     through, datum = cameras @ responses.T, responses @ cameras @ responses.T
     points, shapes = bundle_cpu.point_covariances(
-        bundle.photo, bundle.lens_of, bundle.starts, photos, inverses, coupling, of_points, cameras, through, datum
+        bundle.photo, bundle.lens_of, bundle.starts, photos, inverses, coupling, of_points, cameras, through, datum, own
     )
     if not held:
         free = moves @ responses  # a camera's move that is the points'
@@ -63,7 +69,7 @@ def precision(bundle: Bundle, lens_sigmas: np.ndarray | None = None) -> Precisio
     poses = np.diag(cameras)[: POSE * photos].reshape(photos, POSE)
     at = POSE * np.arange(photos)[:, None, None] + 3
     return Precision(
-        places=bundle.points, points=points, shapes=shapes, own=inverses,
+        places=bundle.points, points=points, shapes=shapes, own=own,
         rays=np.maximum(np.bincount(bundle.point[weights > 0], minlength=len(points)), 1), middle=middle, datum=datum,
         held=held,
         centres=cameras[at + np.arange(3)[:, None], at + np.arange(3)],
