@@ -35,7 +35,7 @@ from . import (
     self_check,
 )
 
-CLASSES = (
+CLASSES: tuple[type, ...] = (
     *choose_photos.CLASSES, *check_photos.CLASSES, *reconstruct.CLASSES, *presets.CLASSES, *import_workspace.CLASSES,
     *build_surface.CLASSES, *export_surface.CLASSES, *export_cloud.CLASSES, *accuracy_report.CLASSES,
     *present_elevations.CLASSES, *present_moves.CLASSES, *present_renders.CLASSES, *present_photos.CLASSES,

@@ -23,8 +23,8 @@ def spread(part: Part, first: np.ndarray, second: np.ndarray) -> float:
     places, back = points.positions(item.data), world_matrix(item).inverted()
     ends = [np.array(back @ Vector(end.tolist())) for end in (first, second)]
     sigmas = points.vectors(item.data, "sigma") if "sigma" in item.data.attributes else None
-    around = tuple(measuring.surroundings(places, end, sigmas) for end in ends)
-    return measuring.spread(ends[0], ends[1], around) * world_matrix(item).median_scale
+    around = [measuring.surroundings(places, end, sigmas) for end in ends]
+    return measuring.spread(ends[0], ends[1], (around[0], around[1])) * world_matrix(item).median_scale
 
 
 def add(scene: bpy.types.Scene, first: np.ndarray, second: np.ndarray) -> bpy.types.PropertyGroup:

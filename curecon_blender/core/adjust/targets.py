@@ -83,7 +83,8 @@ def _centre(
     try:
         likeness, moved = cv2.findTransformECC(
             pattern, patch.astype(np.float32), np.eye(3, dtype=np.float32), cv2.MOTION_HOMOGRAPHY,
-            (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-5), None, 3)
+            (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-5),
+            np.ones_like(patch), 3)
     except cv2.error:  # it does not converge
         return None
     if likeness < LIKE:
