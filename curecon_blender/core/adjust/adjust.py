@@ -53,7 +53,7 @@ class Adjusted:
 
     def moved(self, transform: pycolmap.Sim3d) -> Adjusted:
         """The same where the model was moved; its bundle stays."""
-        moved = self.precision.moved(transform.scale, transform.rotation.matrix(), transform.translation)
+        moved = self.precision.moved(float(transform.scale), transform.rotation.matrix(), transform.translation)
         return replace(self, precision=moved)
 
 
