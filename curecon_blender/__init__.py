@@ -9,9 +9,10 @@ Nothing here imports bpy until Blender calls `register`, so that `curecon_blende
 def register() -> None:
     import bpy
 
-    from . import operators, panels, properties
+    from . import languages, operators, panels, properties
     from .scene import control_overlay, history, overlay, viewport
 
+    languages.start()
     for cls in (*properties.CLASSES, *operators.CLASSES, *panels.CLASSES):
         bpy.utils.register_class(cls)
     properties.attach()
@@ -25,7 +26,7 @@ def register() -> None:
 def unregister() -> None:
     import bpy
 
-    from . import operators, panels, properties, thumbnails
+    from . import languages, operators, panels, properties, thumbnails
     from .operators import running
     from .scene import control_overlay, history, loupe, overlay, viewport
 
@@ -40,3 +41,4 @@ def unregister() -> None:
     properties.detach()
     for cls in reversed((*properties.CLASSES, *operators.CLASSES, *panels.CLASSES)):
         bpy.utils.unregister_class(cls)
+    languages.stop()

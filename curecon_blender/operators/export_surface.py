@@ -15,6 +15,7 @@ from bpy.props import BoolProperty, EnumProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
 from ..core.base.errors import CuReconError
+from ..languages import translated
 from ..scene.exchange import Choices, export_surfaces
 from ..scene.surface import surfaces_of
 from . import paths, running
@@ -102,7 +103,7 @@ class CURECON_OT_export_surface(bpy.types.Operator, ExportHelper):
         else:
             said = rpt_("{} is written; it carries no GPS position.")
         if exported.note:
-            self.report({"WARNING"}, exported.note)
+            self.report({"WARNING"}, translated(exported.note))
         self.report({"INFO"}, said.format(path.name))
         return {"FINISHED"}
 

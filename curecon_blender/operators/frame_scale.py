@@ -15,6 +15,7 @@ from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import FloatProperty
 
 from ..core.site.adjustment import with_length
+from ..languages import translated
 from ..scene import frame, measurements
 from .picking import PickingOperator, place_property
 
@@ -64,7 +65,7 @@ class CURECON_OT_frame_scale(PickingOperator, bpy.types.Operator):
         )
         frame.adjust(context.scene, part, after)
         return rpt_("The site is scaled by {:.4g}: true scale from {}.").format(
-            after.scale / before.scale, rpt_(part.scale_source))
+            after.scale / before.scale, translated(part.scale_source))
 
 
 CLASSES = (CURECON_OT_frame_scale,)

@@ -11,6 +11,7 @@ from bpy.app.translations import pgettext_rpt as rpt_
 
 from ..core.base.errors import WorkspaceError
 from ..core.photos import capture
+from ..languages import translated
 from ..scene import elevations, render_scene, site
 from . import paths, rendering
 from .rendering import RenderSeries
@@ -31,13 +32,15 @@ class CURECON_OT_render_elevations(RenderSeries, bpy.types.Operator):
             times = capture.read_times(paths.absolute(site.workspace(scene)))
         except WorkspaceError as error:
             times = {}
-            self.report({"WARNING"}, rpt_("{} The sheets do not say when the photos were taken.").format(error.message))
+            text = rpt_("{} The sheets do not say when the photos were taken.")
+            self.report({"WARNING"}, text.format(translated(error.message)))
         said_of_all = elevations.notes(scene, times)
         drawn = rpt_("Drawn {}").format(rendering.today())
         bare = elevations.write_sheets(self._plan, folder, rendering.title_of(scene), drawn, said_of_all)
         self.sheet = self._plan.elevations[0].shot.file
         if bare:
-            self.report({"WARNING"}, rpt_("Next to nothing was measured on: {}.").format(", ".join(bare)))
+            names = ", ".join(map(translated, bare))
+            self.report({"WARNING"}, rpt_("Next to nothing was measured on: {}.").format(names))
         said = [rpt_("{} sheets and elevations.pdf are in {}.").format(len(self._plan.elevations), folder)]
         if self._plan.round:
             said.append(rpt_("The walls face all ways alike, so the sides are those of the scene's axes."))

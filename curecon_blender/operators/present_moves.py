@@ -13,6 +13,7 @@ from bpy.props import EnumProperty
 
 from ..core.base.errors import CuReconError, WorkspaceError
 from ..core.photos import capture
+from ..languages import translated
 from ..scene import cameras, flight, render_scene, site
 from . import paths, running
 
@@ -50,14 +51,14 @@ Made again, it takes the place of the earlier one"""
             times = {}
             if self.kind == "FLIGHT":
                 said = rpt_("{} The photos are flown in order of their names.")
-                self.report({"WARNING"}, said.format(error.message))
+                self.report({"WARNING"}, said.format(translated(error.message)))
         try:
             camera = flight.make(scene, self.kind, times)
         except CuReconError as error:
             self.report({"ERROR"}, running.explain(error))
             return {"CANCELLED"}
         if missing := render_scene.apply_quality(scene):
-            self.report({"WARNING"}, missing)
+            self.report({"WARNING"}, translated(missing))
         cameras.enter_view(context)
         said = rpt_("{}: {} frames. Play it with the space bar.").format(camera.name, scene.frame_end)
         self.report({"INFO"}, said)

@@ -13,6 +13,7 @@ from bpy.props import EnumProperty
 
 from ..core.base.errors import WorkspaceError
 from ..core.photos import capture
+from ..languages import translated
 from ..scene import cameras, flight, render_scene, site
 from . import paths
 
@@ -52,7 +53,7 @@ class CURECON_OT_look_through(bpy.types.Operator):
             return {"CANCELLED"}
         cameras.look_through(context, camera)
         if missing := render_scene.apply_quality(scene):
-            self.report({"WARNING"}, missing)
+            self.report({"WARNING"}, translated(missing))
         cameras.overlay(camera, scene.curecon.present.photo_opacity)
         return {"FINISHED"}
 
@@ -63,7 +64,7 @@ class CURECON_OT_look_through(bpy.types.Operator):
         except WorkspaceError as error:
             times = {}
             said = rpt_("{} The photos are gone through in order of their names.")
-            self.report({"WARNING"}, said.format(error.message))
+            self.report({"WARNING"}, said.format(translated(error.message)))
         found, offset = flight.in_order(scene, times), 1 if self.which == "NEXT" else -1
         if scene.camera in found:
             return found[(found.index(scene.camera) + offset) % len(found)]

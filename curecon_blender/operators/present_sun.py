@@ -13,6 +13,7 @@ from bpy.app.translations import pgettext_rpt as rpt_
 from ..core.base.errors import CuReconError, WorkspaceError
 from ..core.photos import capture
 from ..core.present import sun
+from ..languages import translated
 from ..scene import daylight, render_scene, site, viewport
 from . import paths, running
 
@@ -85,7 +86,7 @@ def _set_sun(scene: bpy.types.Scene) -> tuple[str, str]:
     properties.surface_light = "SCENE"
     said = [rpt_("{:%d %B %Y, %H:%M} UTC: the sun {:.0f}° high in {:.0f}°.").format(utc, altitude, azimuth)]
     if missing := render_scene.apply_quality(scene):
-        said.append(missing)
+        said.append(translated(missing))
     if known.origin is None:
         said.append(rpt_("The place is the one typed in."))
     if not known.north:

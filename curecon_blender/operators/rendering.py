@@ -10,6 +10,7 @@ from datetime import date
 from pathlib import Path
 
 import bpy
+from bpy.app.translations import pgettext_iface as iface_
 
 from ..core.base.errors import CuReconError, WorkspaceError
 from ..core.base.files import PRESENTATION, disk_errors
@@ -46,7 +47,7 @@ def title_of(scene: bpy.types.Scene) -> str:
 def today() -> str:
     """The date in words that no country misreads."""
     now = date.today()
-    return f"{now.day} {now:%B %Y}"
+    return iface_("{0.day} {0:%B %Y}").format(now)
 
 
 def _sentence(error: RuntimeError) -> str:

@@ -17,6 +17,7 @@ from bpy.app.translations import pgettext_iface as iface_
 from ..core.base.errors import Cancelled, CuReconError
 from ..core.base.messages import Failure, Log, StageStarted, failure
 from ..job import Job, Status, duration
+from ..languages import translated
 from ..preferences import settings
 
 POLL_SECONDS = 0.05
@@ -98,7 +99,7 @@ def line() -> str:
     if stage.total > 1:
         name = f"{name} {stage.fraction:.0%}"
     if left is not None:
-        done = iface_("{}, {} left").format(done, duration(left))
+        done = iface_("{}, {} left").format(done, translated(duration(left)))
     return iface_("CU-Recon: {} ({})    Esc: cancel").format(name, done)
 
 
@@ -116,7 +117,7 @@ def _chime() -> None:
 
 
 def explain(error: CuReconError | Failure) -> str:
-    return f"{error.message} {error.remedy}"
+    return f"{translated(error.message)} {translated(error.remedy)}"
 
 
 class ModalOperator:

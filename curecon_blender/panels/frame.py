@@ -8,6 +8,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..core.site.adjustment import LEVEL, NORTH, describe
+from ..languages import translated
 from ..scene import frame, measurements
 from .layout import Panel, paragraph
 
@@ -29,11 +30,11 @@ class CURECON_PT_frame(Panel, bpy.types.Panel):
             box.label(text=part.collection.name, icon="OUTLINER_COLLECTION", translate=False)
         scale = "Scale unknown: do not measure"
         if part.scale_source:
-            scale = iface_("True scale from {}").format(iface_(part.scale_source))
+            scale = iface_("True scale from {}").format(translated(part.scale_source))
         paragraph(box, context, scale, icon="DRIVER_DISTANCE" if part.scale_source else "ERROR")
         level = adjustment.of(LEVEL)
         if level is not None:
-            up = iface_("Level from {}").format(iface_(level.how))
+            up = iface_("Level from {}").format(translated(level.how))
         else:
             up = {"gps": "Level by GPS", "gravity": "Level as the cameras were held",
                   "given": "Up as the model has it", "control": "Level by control points"}[known.up]
@@ -42,7 +43,7 @@ class CURECON_PT_frame(Panel, bpy.types.Panel):
         if known.north:
             north = "Y is north"
             if turn is not None:
-                north = iface_("Y is north from {}").format(iface_(describe(turn)))
+                north = iface_("Y is north from {}").format(translated(describe(turn)))
         else:
             north = "North unknown"
         paragraph(box, context, north, icon="ORIENTATION_GLOBAL" if known.north else "QUESTION")

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 
 import blf
@@ -12,11 +13,14 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from ..core.base.messages import Failure
 from ..job import Status, duration
+from ..languages import translated
 from ..operators import running
 from ..operators.running import STAGE_NAMES
 from ..preferences import ADDON
 from ..scene.sidebar import TAB
 
+# Chinese and Japanese have no spaces: a line may end after each of their letters, but not before a closing mark.
+WORD = re.compile(r"(?:[\u3040-\u9fff\uff00-\uffef“‘（《]|[^\s\u3040-\u9fff“‘（《]+)[，。、；：！？）”’》]*\s*")
 QUALITYS_OWN = "0 takes the quality's own:"
 
 
@@ -53,10 +57,9 @@ def wrap(text: str, context: bpy.types.Context, indent: int = 0) -> list[str]:
     blf.size(0, preferences.ui_styles[0].widget.points * scale)
     width = context.region.width - (76 + indent) * scale
     lines: list[str] = []
-    for word in text.split():
-        longer = f"{lines[-1]} {word}" if lines else word
-        if lines and blf.dimensions(0, longer)[0] <= width:
-            lines[-1] = longer
+    for word in WORD.findall(text):
+        if lines and blf.dimensions(0, lines[-1] + word.rstrip())[0] <= width:
+            lines[-1] += word
         else:
             lines.append(word)
     return lines
@@ -69,7 +72,7 @@ def paragraph(
     column = layout.column(align=True)
     column.alert = alert
     column.scale_y = 0.8
-    for index, words in enumerate(wrap(iface_(text), context, indent=28 if icon != "NONE" else 0)):
+    for index, words in enumerate(wrap(translated(text), context, indent=28 if icon != "NONE" else 0)):
         shown = (icon if index == 0 else "BLANK1") if icon != "NONE" else "NONE"
         column.label(text=words, icon=shown, translate=False)
 
@@ -126,7 +129,7 @@ def draw_progress(layout: bpy.types.UILayout, status: Status) -> None:
     left = status.seconds_left
     overall = f"{status.overall:.0%}"
     if left is not None:
-        overall = iface_("{}, {} left").format(overall, duration(left))
+        overall = iface_("{}, {} left").format(overall, translated(duration(left)))
     if status.stages or status.overall:  # an import has no worker to tell of it
         column.progress(factor=status.overall, text="Cancelling..." if status.cancelling else overall)
         column.separator()

@@ -8,6 +8,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from .. import thumbnails
+from ..languages import translated
 from ..operators import running
 from .layout import Panel, action, counted, draw_outcome, draw_progress, paragraph
 
@@ -24,7 +25,7 @@ class CURECON_UL_doubtful(bpy.types.UIList):
     ) -> None:
         split = layout.split(factor=0.55)
         split.label(text=item.name, icon_value=thumbnails.icon(item.thumbnail), translate=False)
-        split.label(text=item.problems)
+        split.label(text=translated(item.problems), translate=False)
 
 
 class CURECON_PT_photos(Panel, bpy.types.Panel):
@@ -88,10 +89,8 @@ class CURECON_PT_photos(Panel, bpy.types.Panel):
         self, context: bpy.types.Context, box: bpy.types.UILayout, check: bpy.types.PropertyGroup
     ) -> None:
         if check.forward < 0:
-            paragraph(
-                box, context, iface_("Overlap unknown: the photos do not tell {}.").format(check.overlap_unknown),
-                icon="OVERLAY",
-            )
+            unknown = iface_("Overlap unknown: the photos do not tell {}.").format(translated(check.overlap_unknown))
+            paragraph(box, context, unknown, icon="OVERLAY")
             return
         if check.side < 0:
             text = iface_("About {:.0f} % overlap with the next photo").format(check.forward)

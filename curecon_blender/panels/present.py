@@ -9,6 +9,7 @@ from collections.abc import Callable
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
+from ..languages import translated
 from ..operators import rendering
 from ..operators.present_moves import KINDS
 from ..scene import cameras, daylight, render_scene, site
@@ -27,7 +28,7 @@ class CURECON_PT_present(Panel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         progress = rendering.progress
         if progress.running:
-            label = f"{progress.name}  {progress.done}/{progress.total}"
+            label = f"{translated(progress.name)}  {progress.done}/{progress.total}"
             self.layout.progress(factor=max(progress.done - 1, 0) / progress.total, text=label)
             self.layout.label(text="Esc in the render's window cancels")
 

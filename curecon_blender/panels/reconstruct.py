@@ -10,6 +10,7 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from ..core.base.options import QUALITIES
 from ..job import duration
+from ..languages import translated
 from ..operators import presets, running
 from ..preferences import ADDON
 from .layout import QUALITYS_OWN, AdvancedPanel, Panel, action, draw_outcome, draw_progress, gibibytes, paragraph
@@ -67,7 +68,7 @@ class CURECON_PT_reconstruct(Panel, bpy.types.Panel):
         for name in QUALITIES:
             if (cost := check.costs.get(f"{name}:{properties.goal}")) is None:
                 continue
-            time = duration(cost.seconds) if cost.seconds >= 60 else iface_("< 1 min")
+            time = translated(duration(cost.seconds)) if cost.seconds >= 60 else iface_("< 1 min")
             for text in (iface_(name.capitalize()), time, gibibytes(cost.memory_gib)):
                 cell = table.row()
                 cell.active = _fits(check, cost)
@@ -79,7 +80,7 @@ class CURECON_PT_reconstruct(Panel, bpy.types.Panel):
         check = properties.check
         takes = iface_("About {}, {} of memory and {} of disk") if cost.seconds >= 60 else iface_(
             "Takes {}, {} of memory and {} of disk")
-        text = takes.format(duration(cost.seconds), gibibytes(cost.memory_gib), gibibytes(cost.disk_gib))
+        text = takes.format(translated(duration(cost.seconds)), gibibytes(cost.memory_gib), gibibytes(cost.disk_gib))
         if _fits(check, cost):
             paragraph(self.layout, context, text)
             return

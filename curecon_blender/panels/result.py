@@ -7,6 +7,7 @@ from __future__ import annotations
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
+from ..languages import translated
 from ..scene import site
 from ..scene.surface import surfaces_of
 from ..scene.workspace import clouds_of
@@ -38,7 +39,7 @@ class CURECON_PT_result(Panel, bpy.types.Panel):
             column.label(text=parts, icon="ERROR", translate=False)
         known = site.known(context.scene)
         if known.metres:
-            source = iface_("True scale from {}").format(iface_(known.scale_source))
+            source = iface_("True scale from {}").format(translated(known.scale_source))
             paragraph(box, context, source, icon="DRIVER_DISTANCE")
         else:
             column.label(text="Scale unknown: do not measure", icon="ERROR")

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from bpy.app.translations import pgettext_n as n_
 
 from ..core.adjust.record import ACCURACY_FILE, read_accuracy, rms
 from ..core.present import sheet, sheet_files
@@ -18,7 +19,7 @@ from ..core.present.sheet import Drawing
 from ..core.site.measuring import SHOWN
 from . import render_scene, site, surface
 from .frame import Part
-from .lettering import letters
+from .lettering import letters_but
 
 BARE = 0.1  # share of a drawing with anything on it, below which its side counts as not measured
 AROUND = 1.04  # of the box's size: what a drawing shows
@@ -60,7 +61,7 @@ def plan(scene: bpy.types.Scene, stage: bpy.types.Scene, folder: Path) -> Plan:
         stage.world = None  # a misty one would veil the photos' colours
     x, y = about.axis(0), about.axis(1)
     views = [(side, np.array([np.cross(UP, out), UP, out])) for side, out in zip(SIDES, (-y, x, y, -x), strict=True)]
-    views.append(("Roof plan", np.array([x, y, UP])))
+    views.append((n_("Roof plan"), np.array([x, y, UP])))
     sizes = [AROUND * 2 * np.abs(axes[:2] @ np.array([x, y, UP]).T) @ about.half for _, axes in views]
     # Of unknown scale: as large as an A3 takes the largest.
     fit = min(min(np.array(sheet.room("A3", upright=False)) / size) for size in sizes)
@@ -124,7 +125,7 @@ def write_sheets(made: Plan, folder: Path, title: str, date: str, noted: str = "
             name=elevation.name, date=date, scale=made.scale, orientation=elevation.orientation, north=elevation.north,
             notes=noted,
         )
-        sheets.append(sheet.lay_out(drawing, letters))
+        sheets.append(sheet.lay_out(drawing, letters_but(title)))
         sheet_files.write_png(elevation.shot.file, sheets[-1], made.pixels_per_mm)
     sheet_files.write_pdf(folder / "elevations.pdf", sheets, title)
     return bare

@@ -4,10 +4,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import bpy
 import numpy as np
 
+from ..languages import translated
+
 RESOLUTION = 6  # steps of a letter's curves: smooth on paper
+
+
+def letters_but(*names: str) -> Callable[[str], np.ndarray]:
+    """What turns a text into its triangles, in Blender's language but for names that the user has given."""
+    return lambda text: letters(text if text in names else translated(text))
 
 
 def letters(text: str) -> np.ndarray:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import bpy
 import numpy as np
+from bpy.app.translations import pgettext_iface as iface_
 from mathutils import Vector
 
 from ..core.site import measuring
@@ -51,7 +52,8 @@ def in_words(scene: bpy.types.Scene, measurement: bpy.types.PropertyGroup) -> st
     sigma = part.scale_sigma if part is not None and metres else None
     metre = part.metre if part is not None else 1.0
     plus_minus = measuring.uncertainty(found, measurement.spread, sigma)
-    return measuring.in_words(found / metre, plus_minus / metre, metres=metres)
+    words = measuring.in_words(found / metre, plus_minus / metre, metres=metres)
+    return words if metres else words.replace("units", iface_("units"))
 
 
 def as_text(scene: bpy.types.Scene) -> str:

@@ -8,10 +8,11 @@ from math import degrees
 from pathlib import Path
 
 import bpy
+from bpy.app.translations import pgettext_n as n_
 
 from ..core.present import sheet, sheet_files
 from . import flight, render_scene, site
-from .lettering import letters
+from .lettering import letters_but
 
 FROM_ABOVE = 2.0  # times the box's radius: the height of the still that looks down steeply
 STEEPEST = 22.0  # degrees that the other four look down, or no sky would be seen behind what is slim
@@ -31,7 +32,7 @@ def shots(scene: bpy.types.Scene, stage: bpy.types.Scene, folder: Path) -> list[
         azimuth = (degrees(present.start_angle) + 90 * (number - 1)) % 360
         side = f"From the {sheet.compass(azimuth).lower()}" if has_north else f"View {number}"
         name, high, steepest = (
-            (side, height, STEEPEST) if number < 5 else ("From above", FROM_ABOVE * about.radius, 90.0)
+            (side, height, STEEPEST) if number < 5 else (n_("From above"), FROM_ABOVE * about.radius, 90.0)
         )
         camera = render_scene.add_still(stage, name, about, azimuth, high, steepest)
         made.append(render_scene.Shot(name=name, file=folder / f"still_{number}.png", camera=camera, size=size))
@@ -42,13 +43,13 @@ def shots(scene: bpy.types.Scene, stage: bpy.types.Scene, folder: Path) -> list[
     else:
         frames = flight.frame_count(scene)
         film = render_scene.add_orbit(stage, about, flight.around(about, "ORBIT", present, frames))
-    made.append(render_scene.Shot(name="Film", file=folder / "film.mp4", camera=film, size=size, frames=frames))
+    made.append(render_scene.Shot(name=n_("Film"), file=folder / "film.mp4", camera=film, size=size, frames=frames))
     return made
 
 
 def write_contact_sheet(stills: list[render_scene.Shot], folder: Path, title: str, date: str) -> None:
     """The stills on one page, as PNG and PDF. Raises WorkspaceError."""
     pictures = [(shot.name, render_scene.read_pixels(shot.file)) for shot in stills]
-    page = sheet.contact_sheet(pictures, title, date, letters)
+    page = sheet.contact_sheet(pictures, title, date, letters_but(title, date))
     sheet_files.write_png(folder / "contact_sheet.png", page, CONTACT_PIXELS_PER_MM)
     sheet_files.write_pdf(folder / "contact_sheet.pdf", [page], title)

@@ -1,0 +1,36 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The add-on's words in Blender's language: one file a language, and what core and the worker said in English."""
+
+from __future__ import annotations
+
+import bpy
+from bpy.app.translations import pgettext_iface as iface_
+
+from .catalogue import Language, load
+
+CONTEXTS = ("*", "Operator")  # Blender looks buttons up in the second
+
+_languages: dict[str, Language] = {}
+
+
+def start() -> None:
+    _languages.update(load())
+    bpy.app.translations.register(__name__, {
+        name: {(context, text): words for text, words in language.words.items() for context in CONTEXTS}
+        for name, language in _languages.items()
+    })
+
+
+def stop() -> None:
+    bpy.app.translations.unregister(__name__)
+    _languages.clear()
+
+
+def translated(text: str) -> str:
+    """A text in Blender's language that was put together in English, such as an error of core or a note of the frame.
+    What has no translation stays, as do the names, paths and numbers within."""
+    language = _languages.get(bpy.app.translations.locale)
+    if language is None or not bpy.context.preferences.view.use_translate_interface:
+        return iface_(text)
+    return language.translated(text)

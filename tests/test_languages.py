@@ -1,0 +1,108 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Every language says all that the code says, with the same values, and knows formatted texts again."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import subprocess
+import sys
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from curecon_blender.core.adjust import control_files
+from curecon_blender.core.adjust.control import ControlSet
+from curecon_blender.core.base import images
+from curecon_blender.core.base.errors import CuReconError
+from curecon_blender.core.photos.find import find_photos
+from curecon_blender.core.site.adjustment import Adjustment, with_length
+from curecon_blender.job import duration
+from curecon_blender.languages.catalogue import Language, load, values
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.append(str(ROOT / "scripts"))
+import messages  # noqa: E402 - a script
+
+LANGUAGES = load()
+CHINESE = LANGUAGES["zh_HANS"]
+NAMES = r"\S*|JPEG|PNG|TIFF|\S+\.(csv|jpg)|photo,name|name,x,y,z|ODM|x y z px py photo name"
+ENGLISH = re.compile(r"[A-Za-z]{3,}")
+
+
+def test_no_message_is_missing_stale_or_wrongly_formatted() -> None:
+    if importlib.util.find_spec("bpy") is None:
+        pytest.skip("bpy, which knows the names and tooltips, is not installed in this Python")
+    command = [sys.executable, ROOT / "scripts" / "messages.py"]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, f"{ran.stdout}\n{ran.stderr}\nAdd them: python scripts/messages.py --fill LANGUAGE"
+
+
+def test_a_faulty_language_is_told() -> None:
+    said = {"{} of {} photos": "{} 张照片", "Old words": "旧词", "{:,} points": "{} 个点", "At {:%H:%M}": "{0:%H}时"}
+    wanted = dict.fromkeys(("{} of {} photos", "{:,} points", "Not yet", "At {:%H:%M}"), "a.py:1")
+    found = messages.faults(said, wanted)
+    assert [line.partition(":")[0] for line in found] == [
+        "missing (a.py", "stale", "other values than the English", "other values than the English"]
+    assert "Not yet" in found[0] and "Old words" in found[1] and "points" in found[3]
+
+
+def test_values_may_change_their_order_and_dates_their_form() -> None:
+    assert values("{} of {:,}") == values("{1:,} / {0}")
+    assert values("{0.day} {0:%B %Y}") == values("{0:%Y}年{0.month}月")
+    assert values("{:.1f} m") != values("{:.2f} m")
+
+
+def test_what_core_raises_is_told_in_chinese(tmp_path: Path) -> None:
+    folder = tmp_path / "照片"
+    folder.mkdir()
+    (folder / "notes.txt").write_text("x")
+    text = folder / "1.jpg"
+    text.write_text("no picture")
+    control = tmp_path / "2.csv"
+    control.write_text("? ?\n")
+    for raising in (
+        lambda: images.read_rgb(folder / "3.jpg"), lambda: images.read_rgb(text), lambda: find_photos(folder / "4"),
+        lambda: control_files.import_files([control], ControlSet(), ()),
+        lambda: with_length(Adjustment(), np.zeros(3), np.ones(3), -1.0, sigma=0.1, when=datetime.now()),
+    ):
+        with pytest.raises(CuReconError) as caught:
+            raising()
+        for sentence in (caught.value.message, caught.value.remedy):
+            said = CHINESE.translated(sentence)
+            assert not ENGLISH.search(re.sub(re.escape(str(tmp_path)) + NAMES, "", said)), f"{sentence} -> {said}"
+
+
+def test_warnings_notes_and_names_are_found_again_with_their_values() -> None:
+    for text, said in (
+        ("12 of 30 photos could not be placed and are not used: a.jpg, b and c.jpg. They overlap too little with the "
+         "others.", "12 / 30 张照片无法定位，未采用：a.jpg, b and c.jpg。它们与其他照片重叠太少。"),
+        ("3 photos look blurred and will still be used: a, b.", "3 张照片模糊，仍会采用：a, b。"),
+        ("a.jpg: The disk is full: /x/y could not be written.", "a.jpg：磁盘已满：无法写入 /x/y。"),
+        ("No GPS in the photos: scale and north are unknown (set them with a scale bar); Z up comes from the drone's "
+         "gimbal angles.", "照片没有 GPS：比例和北向未知（请用已知距离设定）；Z 轴向上来自无人机的云台角。"),
+        ("blurred, overexposed", "模糊、曝光过度"), ("From the north-east", "自东北看"),
+        (duration(3900), "1 小时 05 分钟"), (duration(30), "不到一分钟"),
+        ("/home/a and b/The disk.jpg", "/home/a and b/The disk.jpg"),
+    ):
+        assert CHINESE.translated(text) == said
+
+
+def test_a_text_of_many_parts_is_translated_at_once() -> None:
+    names = ", ".join(f"DJI_{number:04}.JPG" for number in range(200))
+    assert CHINESE.translated(f"Left out: {names}") == f"未采用：{names}"
+
+
+def test_what_is_not_translated_yet_stays_english() -> None:
+    assert Language({"Mesh": ""}).translated("Mesh") == "Mesh"
+
+
+def test_a_picture_of_16_bits_is_no_word(tmp_path: Path) -> None:
+    Image.new("F", (64, 64)).save(tmp_path / "a.tif")
+    with pytest.raises(CuReconError) as caught:
+        images.read_rgb(tmp_path / "a.tif")
+    assert "浮点" in CHINESE.translated(caught.value.message)
