@@ -31,7 +31,7 @@ FOR_DEVELOPERS = {"diagnostics", "described"}  # functions whose text is sent to
 SENTENCE = re.compile(
     r"[A-Za-z]{2,}[,.:;)'\"]* +[(\"]?[A-Za-z{]|[}a-z)][.:;]? [a-z]{2,}|^ ?[A-Z][a-z]+[a-z ]*(: | \{\}|\.)"
 )
-CODE = re.compile(r"[A-Z_0-9]+|[a-z0-9]*[_.][a-z0-9_.]*")
+CODE = re.compile(r"[A-Z_0-9]+|[a-z0-9]*[_.][a-z0-9_.]*|points3D\{\}")
 NO_WORDS = re.compile(  # shaders, SQL, file formats, columns of tables, what other programs say, scripts, names of data
     r"[\n<>|\\]|^#|void main|PRAGMA|^format |^property |^comment |red green blue|\bK[ads] \d|%[sd]|^end_|^element "
     r"|sigma|ylat|xlong|easting|northing|ellipsoidh|^role type|nx ny|newmtl|map_Kd|filename|pointid|^px |^py "
@@ -77,6 +77,8 @@ class _Texts(ast.NodeVisitor):
     def visit_Call(self, node: ast.Call) -> None:
         name = node.func.id if isinstance(node.func, ast.Name) else getattr(node.func, "attr", "")
         if name in NOT_SHOWN:
+            if isinstance(node.func, ast.Attribute) and isinstance(node.func.value, ast.JoinedStr):
+                self.visit(node.func.value)
             return
         if name == "join" and isinstance(node.func, ast.Attribute):
             self._within(node.args, shown=self._shown)
@@ -151,8 +153,8 @@ class _Texts(ast.NodeVisitor):
 
     def _take(self, texts: list[str], line: int) -> None:
         for text in texts:
-            letters = re.search(r"[A-Za-z]{2}", text) and not CODE.fullmatch(text) and not NO_WORDS.search(text)
-            if letters and (self._shown or (not self._scene and SENTENCE.search(text))):
+            read = not self._scene and SENTENCE.search(text) and not NO_WORDS.search(text)
+            if (self._shown or read) and re.search(r"[A-Za-z]{2}", text) and not CODE.fullmatch(text):
                 self.found.append((text, line))
 
 
