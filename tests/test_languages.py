@@ -85,6 +85,9 @@ def test_warnings_notes_and_names_are_found_again_with_their_values() -> None:
         ("a.jpg: The disk is full: /x/y could not be written.", "a.jpg：磁盘已满：无法写入 /x/y。"),
         ("No GPS in the photos: scale and north are unknown (set them with a scale bar); Z up comes from the drone's "
          "gimbal angles.", "照片没有 GPS：比例和北向未知（请用已知距离设定）；Z 轴向上来自无人机的云台角。"),
+        ("my photo 1_T.JPG is a thermal picture beside colour photos.",
+         "my photo 1_T.JPG 是与彩色照片并存的热红外图。"),
+        ("What nobody translated of the photos, Put it back", "What nobody translated of the photos, Put it back"),
         ("blurred, overexposed", "模糊、曝光过度"), ("From the north-east", "自东北看"),
         (duration(3900), "1 小时 05 分钟"), (duration(30), "不到一分钟"),
         ("/home/a and b/The disk.jpg", "/home/a and b/The disk.jpg"),

@@ -9,7 +9,8 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from .catalogue import Language, load
 
-CONTEXTS = ("*", "Operator")  # Blender looks buttons up in the second
+CONTEXT = "CU-Recon"  # for words that Blender has for other things, such as Surface
+CONTEXTS = ("*", "Operator", CONTEXT)  # Blender looks buttons up in the second
 
 _languages: dict[str, Language] = {}
 

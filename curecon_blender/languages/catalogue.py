@@ -16,7 +16,8 @@ from pathlib import Path
 
 FOLDER = Path(__file__).resolve().parent
 JOINTS = ("  ·  ", ". ", ": ", ", ", " and ")  # between parts that are messages of their own
-FEWEST_LETTERS = 2  # of a message with values: with fewer, nearly every text could have come from it
+FEW_LETTERS = 7  # of a message whose values are numbers and names
+NAME_WORDS = 6  # of a name before a message that begins with a verb: "IMG 1.jpg is a screenshot"
 LONGEST = 4000
 
 
@@ -33,8 +34,8 @@ class Language:
         self.words = {text: said for text, said in words.items() if said}
         said = {text.removesuffix("."): said.removesuffix("。") for text, said in self.words.items()}
         self._said = self.words | said | self.words  # a sentence within another one has no full stop
-        self._patterns = [(text, _literals(text)) for text in self._said
-                          if values(text) and _letters(text) >= FEWEST_LETTERS and not any(n for n, _ in _parts(text))]
+        self._patterns = [(text, _literals(text)) for text in self._said if values(text) and _letters(text) > 1
+                          and not any(name for name, _ in _parts(text))]
         self._best = lru_cache(maxsize=4096)(self._find_best)  # panels ask again at every drawing
 
     def translated(self, text: str) -> str:
@@ -42,24 +43,43 @@ class Language:
         return self._best(text)[0] if len(text) <= LONGEST else text
 
     def _find_best(self, text: str) -> tuple[str, int]:
-        """The reading of a text that leaves the fewest letters in English, and their number."""
+        """The reading of a text that leaves the fewest letters in English, and their number; among equals, the one by
+        the longest message."""
         begun = text[:1].upper() + text[1:]  # "north-east" within a sentence
         if said := self._said.get(text) or self._said.get(begun):
             return said, 0
-        readings = [(text, sum(letter.isalpha() for letter in text))]
+        readings = [(text, _letters(text), 0), *self._by_messages(text), *self._by_parts(text)]
+        return min(readings, key=lambda reading: reading[1:])[:2]
+
+    def _by_messages(self, text: str) -> Iterator[tuple[str, int, int]]:
+        """By the messages that it may have been formatted from: translation, letters left, minus the message's own."""
         for message, literals in self._patterns:
             for given in _matches(text, literals):
                 found = [self._best(value) for value in given]
-                readings.append((_filled(self._said[message], [said for said, _ in found]), sum(n for _, n in found)))
+                # "{} photos" is no reading of a whole sentence that ends so, nor of "the photos".
+                if _letters(message) >= FEW_LETTERS or not any(
+                    left and (" " in said or said.isalpha()) for said, left in found
+                ):
+                    said = _filled(self._said[message], [said for said, _ in found])
+                    yield said, sum(left for _, left in found), -sum(map(len, literals))
+
+    def _by_parts(self, text: str) -> Iterator[tuple[str, int, int]]:
+        """As several messages after one another, or as one behind a name."""
+        if text.endswith(".") and (found := self._best(text[:-1]))[0] != text[:-1]:
+            yield found[0] + self.words.get(". ", ". ").rstrip(), found[1], 0
         for joint in JOINTS:
             parts = text.split(joint, 1 if joint == ": " else -1)  # "IMG_1.jpg: The disk is full: ..."
             if len(parts) > 1 and all(parts):
-                found = [self._best(part) for part in parts]
-                if any(said != part for (said, _), part in zip(found, parts, strict=True)):
-                    between = self.words.get(joint, joint)
-                    left = sum(n for _, n in found) + (len(parts) - 1) * _letters(joint)
-                    readings.append((between.join(said for said, _ in found), left))
-        return min(readings, key=lambda reading: reading[1])
+                all_found = [self._best(part) for part in parts]
+                if any(said != part for (said, _), part in zip(all_found, parts, strict=True)):
+                    left = sum(left for _, left in all_found) + (len(parts) - 1) * _letters(joint)
+                    yield self.words.get(joint, joint).join(said for said, _ in all_found), left, 0
+        words = text.split(" ")
+        for count in range(1, min(NAME_WORDS, len(words) - 2) + 1):
+            name, rest = " ".join(words[:count]), " ".join(words[count:])
+            if rest[:1].islower():
+                whole = [(self._said[rest], 0, 0)] if rest in self._said else [*self._by_messages(rest)]
+                yield from ((f"{name} {said}", _letters(name) + left, 0) for said, left, _ in whole)
 
 
 def values(message: str) -> set[tuple[str, str]]:
@@ -87,7 +107,7 @@ def _filled(said: str, given: list[str]) -> str:
 
 
 def _letters(message: str) -> int:
-    return sum(letter.isalpha() for literal, *_ in string.Formatter().parse(message) for letter in literal)
+    return sum(letter.isalpha() for letter in message)
 
 
 def _literals(message: str) -> list[str]:

@@ -13,7 +13,7 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from ..core.base.messages import Failure
 from ..job import Status, duration
-from ..languages import translated
+from ..languages import CONTEXT, translated
 from ..operators import running
 from ..operators.running import STAGE_NAMES
 from ..preferences import ADDON
@@ -31,6 +31,7 @@ class Panel:
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
     bl_category = TAB
+    bl_translation_context = CONTEXT
 
 
 class AdvancedPanel(Panel):
