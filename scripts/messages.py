@@ -92,6 +92,8 @@ class _Texts(ast.NodeVisitor):
     def visit_Assign(self, node: ast.Assign) -> None:
         names = {name.id for target in node.targets for name in ast.walk(target) if isinstance(name, ast.Name)}
         self._within([node.value], shown=bool(names & WORDS))
+        for target in node.targets:  # row.operator("...", text="Level Floor").plane = "FLOOR"
+            self.visit(target)
 
     def visit_For(self, node: ast.For) -> None:
         self._within([node.iter], shown=isinstance(node.target, ast.Name) and node.target.id in WORDS)
@@ -178,6 +180,8 @@ def _texts(node: ast.expr) -> Iterator[str]:
 
 def shown_by_blender() -> dict[str, str]:
     """The names, tooltips and items of what the add-on registers, and where each is."""
+    import bpy
+
     import curecon_blender
     from curecon_blender import operators, panels, properties
 
@@ -185,7 +189,8 @@ def shown_by_blender() -> dict[str, str]:
     try:
         found: dict[str, str] = {}
         for cls in (*properties.CLASSES, *operators.CLASSES, *panels.CLASSES):
-            rna = cls.bl_rna
+            operator = getattr(cls, "bl_idname", "").partition(".")
+            rna = getattr(getattr(bpy.ops, operator[0]), operator[2]).get_rna_type() if operator[2] else cls.bl_rna
             texts = [getattr(cls, "bl_label", "")]
             if hasattr(cls, "execute"):
                 texts.append(getattr(cls, "bl_description", "") or cls.__doc__ or "")
