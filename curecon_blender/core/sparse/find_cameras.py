@@ -17,10 +17,11 @@ from ..base.options import Options
 from ..base.records import Photo, PhotoSet
 from .features import FeatureSettings, extract_features, image_ids, missing_features, open_database
 from .given import fit_to_photos, given_frame
+from .lookalikes import without_lookalikes
 from .mapping import map_photos
 from .matches import match_pairs, unmatched
 from .models import MAPPED, find_models, listed, read_model, write_components
-from .pairs import Pair, expected_pairs, metadata_pairs, near_pairs, needs_retrieval, similar_pairs
+from .pairs import Pair, expected_pairs, facing_alike, metadata_pairs, near_pairs, needs_retrieval, similar_pairs
 from .progress import COLOURS, FEATURES, MAPPING, MATCHING, Meter
 from .record import FRAME_FILE
 from .words import learn_words
@@ -42,12 +43,10 @@ def reconstruct(photo_set: PhotoSet, options: Options, workspace: Path, reporter
         _extract(database, photos, settings, meter)
         words = learn_words(database, image_ids(database, photos))
         if needs_retrieval(photos):
-            pairs |= similar_pairs(database, photos, words, reporter.check_cancelled)
+            pairs |= facing_alike(photos, similar_pairs(database, photos, words, reporter.check_cancelled))
         _match(database, photos, pairs, words, options, meter)
     meter.enter(MAPPING)
-    models = map_photos(
-        _database_path(workspace), [photo.name for photo in photos], options.mapper, reporter, meter.advance
-    )
+    models = _map(photos, _database_path(workspace), options, meter)
     if not models:
         raise SparseError(
             f"The cameras could not be found: no three of the {len(photos)} photos overlap enough to be joined.",
@@ -127,6 +126,19 @@ def _match(
 
     device = "cuda" if options.device in ("auto", "cuda") and torch.cuda.is_available() else "cpu"
     match_pairs(database, photos, left, words, device, step)
+
+
+def _map(
+    photos: tuple[Photo, ...], database: Path, options: Options, meter: Meter
+) -> list[pycolmap.Reconstruction]:
+    """The models of the photos, without what only joins photos that look alike."""
+    names = [photo.name for photo in photos]
+    models = map_photos(database, names, options.mapper, meter.reporter, meter.advance)
+
+    def once_more(cut: Path) -> list[pycolmap.Reconstruction]:
+        return map_photos(cut, names, options.mapper, meter.reporter, lambda placed: None)
+
+    return without_lookalikes(database, models, photos, once_more, meter.reporter)
 
 
 def _colour(model: pycolmap.Reconstruction, photos: dict[str, Photo], image_size: int, meter: Meter) -> None:

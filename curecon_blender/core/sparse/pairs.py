@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
@@ -39,23 +40,37 @@ def expected_pairs(photos: tuple[Photo, ...], known: set[Pair]) -> int:
 def metadata_pairs(photos: tuple[Photo, ...]) -> set[Pair]:
     """Pairs worth matching as far as GPS, gimbal angles and the order of names tell.
 
-    Photos with GPS: each with its nearest, and those next in order if they are near too. A pair whose optical axes
-    diverge is left out: the sides of a round building look alike, and would match falsely. Without GPS: all pairs
-    of a small set, else a window in name order.
+    Photos with GPS: each with its nearest, and those next in order if they are near too. Without GPS: all pairs of a
+    small set, else a window in name order. A pair whose optical axes diverge by the gimbals is left out.
     """
     everybody = range(len(photos))
     if not _located(photos):
-        return set(combinations(everybody, 2)) if len(photos) <= EXHAUSTIVE else _window(len(photos), WINDOW)
+        pairs = set(combinations(everybody, 2)) if len(photos) <= EXHAUSTIVE else _window(len(photos), WINDOW)
+        return facing_alike(photos, pairs)
     located = [i for i in everybody if photos[i].gps is not None]
     lost = set(everybody) - set(located)
     positions, _ = gps_enu([photos[i] for i in located])
-    axes = np.array([
-        (np.nan,) * 3 if gimbal is None else rotations.from_gimbal(gimbal)[:, 2]
-        for gimbal in (photos[i].gimbal for i in located)
-    ])
-    pairs = {(located[a], located[b]) for a, b in near_pairs(positions, axes)}
+    pairs = {(located[a], located[b]) for a, b in near_pairs(positions, _axes([photos[i] for i in located]))}
     around = set(combinations(everybody, 2)) if len(photos) <= EXHAUSTIVE else _window(len(photos), WINDOW)
-    return pairs | {pair for pair in around if lost & set(pair)}
+    return pairs | facing_alike(photos, {pair for pair in around if lost & set(pair)})
+
+
+def facing_alike(photos: tuple[Photo, ...], pairs: set[Pair]) -> set[Pair]:
+    """The pairs without those whose optical axes diverge by the gimbals: the sides of a round building look alike, and
+    would match falsely."""
+    return _facing(_axes(photos), pairs)
+
+
+def _axes(photos: Sequence[Photo]) -> np.ndarray:
+    """Optical axes (N,3) by the gimbals, NaN where unknown."""
+    return np.array([
+        (np.nan,) * 3 if photo.gimbal is None else rotations.from_gimbal(photo.gimbal)[:, 2] for photo in photos
+    ])
+
+
+def _facing(axes: np.ndarray, pairs: set[Pair]) -> set[Pair]:
+    widest = np.cos(np.radians(WIDEST_ANGLE))
+    return {(i, j) for i, j in pairs if not float(axes[i] @ axes[j]) < widest}  # NaN is not less: unknown stays
 
 
 def near_pairs(positions: np.ndarray, axes: np.ndarray) -> set[Pair]:
@@ -72,8 +87,7 @@ def near_pairs(positions: np.ndarray, axes: np.ndarray) -> set[Pair]:
     pairs |= {(i, j) for i, j in spanning_tree(distances).tolist()}
     reach = 2 * float(np.median(distances[np.arange(count), nearest[:, -1]]))
     pairs |= {(i, j) for i, j in _window(count, 3) if distances[i, j] < reach}
-    widest = np.cos(np.radians(WIDEST_ANGLE))
-    return {(i, j) for i, j in pairs if not float(axes[i] @ axes[j]) < widest}  # NaN is not less: unknown stays
+    return _facing(axes, pairs)
 
 
 def similar_pairs(

@@ -1,0 +1,371 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Photos of sides that look alike, joined as if they showed the same side: found in a model, and cut.
+
+No sign alone is proof. A join of two photos is cut when two witnesses contradict it: what surrounds the matches (where
+the model says that both photos show the same things, and those do not match), and one of the gimbal, GPS, and the
+order of capture.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Callable, Iterable
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pycolmap
+from scipy.spatial import cKDTree
+
+from ..base import rotations
+from ..base.files import scratch_folder
+from ..base.geodesy import gps_enu
+from ..base.messages import Reporter
+from ..base.records import Photo
+from .features import image_ids
+from .models import listed
+from .pairs import Pair
+
+PATCHES = 8, 6  # across a photo, and down
+NEIGHBOURS = 2  # photos before and after in the order of capture that surely show the same side
+STRONG = 30  # verified matches of a pair that surely overlaps
+HELD, TORN = 0.5, 0.2  # share of a pair's matches that the model has as one point: it relies on the pair, or tears it
+TURNED = 35.0  # degrees by which gimbal and model may differ between two photos
+TRUSTED = 12.0  # degrees, median: gimbals that differ more tell nothing
+ELSEWHERE = 12.0, 0.5  # metres, and share of the distance by GPS, by which two photos may be nearer in the model
+MISSED = 0.6  # of the usual share of patches that match; below, the surroundings contradict
+WIDEST, FARTHEST = 30.0, 2.0  # degrees and ratio of distances up to which a point should be recognised
+FEWEST_PATCHES, RICH = 6, 3  # patches to tell by, and features in one
+FEWEST_TEARS, TEARS = 3, 0.1  # pairs of followers, and share of them, that a model tears where it is folded
+OFF_LINE = 0.02  # of the focal length, from an epipolar line
+STAYED = 0.05  # of the cameras' extent, by which a photo may move and still stand where it stood
+
+
+@dataclass(frozen=True, kw_only=True)
+class Join:
+    """Two photos (positions in the job's list) with verified matches (K,2), and how the models take them."""
+
+    pair: Pair
+    matches: np.ndarray
+    kept: float  # share of the matches with a point that have the same point in both photos; nan with too few to tell
+
+    @property
+    def held(self) -> bool:
+        return self.kept >= HELD
+
+    @property
+    def torn(self) -> bool:
+        return len(self.matches) >= STRONG and self.kept < TORN
+
+
+@dataclass(frozen=True, kw_only=True)
+class Placed:
+    """A photo in a model: its pose and lens, and its features with the points that they show."""
+
+    model: int
+    camera: pycolmap.Camera
+    rotation: np.ndarray  # cam_from_world (3,3)
+    centre: np.ndarray
+    pixels: np.ndarray  # (F,2) of the features
+    tracks: np.ndarray  # (F,) their points, -1 none
+    scene: np.ndarray  # (F,3) where they lie, those without a point as deep as the nearest in the picture with one
+
+
+def placed_photos(models: list[pycolmap.Reconstruction], photos: tuple[Photo, ...]) -> dict[int, Placed]:
+    """The photos that the models have, by position in the job's list."""
+    position = {photo.name: i for i, photo in enumerate(photos)}
+    placed = {}
+    for index, model in enumerate(models):
+        for image_id in model.reg_image_ids():
+            image = model.image(image_id)
+            pixels = np.array([point.xy for point in image.points2D]).reshape(-1, 2)
+            tracks = np.array([p.point3D_id if p.has_point3D() else -1 for p in image.points2D], np.int64)
+            known = np.flatnonzero(tracks >= 0)
+            if len(known) == 0:
+                continue
+            camera, pose = model.camera(image.camera_id), image.cam_from_world()
+            rotation, centre = pose.rotation.matrix(), image.projection_center()
+            depths = (np.array([model.point3D(i).xyz for i in tracks[known]]) - centre) @ rotation[2]
+            depths = depths[cKDTree(pixels[known]).query(pixels)[1]]
+            rays = np.concatenate([camera.cam_from_img(pixels), np.ones((len(pixels), 1))], axis=1)
+            placed[position[image.name]] = Placed(
+                model=index, camera=camera, rotation=rotation, centre=centre, pixels=pixels, tracks=tracks,
+                scene=centre + (rays * depths[:, None]) @ rotation,
+            )
+    return placed
+
+
+def find_joins(
+    placed: dict[int, Placed], verified: Iterable[tuple[Pair, np.ndarray]]
+) -> list[Join]:
+    """Every pair with verified matches (K,2) of which the models have a photo. A photo apart shares no point."""
+    joins = []
+    for (i, j), matches in verified:
+        if len(matches) == 0 or not {i, j} & placed.keys():
+            continue
+        if i not in placed or j not in placed or placed[i].model != placed[j].model:
+            joins.append(Join(pair=(i, j), matches=matches, kept=0.0))
+            continue
+        first, second = placed[i].tracks[matches[:, 0]], placed[j].tracks[matches[:, 1]]
+        known, same = (first >= 0) | (second >= 0), (first == second) & (first >= 0)
+        kept = float(same.sum() / known.sum()) if known.sum() >= STRONG / 2 else float("nan")
+        joins.append(Join(pair=(i, j), matches=matches, kept=kept))
+    return joins
+
+
+def patches_found(join: Join, placed: dict[int, Placed]) -> float:
+    """Of the patches that both photos of a join should show, by the model, and in which both have features: the share
+    in which any of them match; nan where the patches are few."""
+    first, second = (placed[photo] for photo in join.pair)
+    counts = _patches(first, second, join.matches[:, 0]) + _patches(second, first, join.matches[:, 1])
+    return float(counts[0] / counts[1]) if counts[1] >= FEWEST_PATCHES else float("nan")
+
+
+def _patches(source: Placed, target: Placed, matched: np.ndarray) -> np.ndarray:
+    """Patches of the source with features that match, and of all that the target should show, too: (2,)."""
+    local = (source.scene - target.centre) @ target.rotation.T
+    to_source, to_target = source.scene - source.centre, source.scene - target.centre
+    near, far = np.linalg.norm(to_source, axis=1), np.linalg.norm(to_target, axis=1)
+    cosine = (to_source * to_target).sum(1) / np.maximum(near * far, 1e-12)
+    alike = (local[:, 2] > 1e-9) & (cosine > np.cos(np.radians(WIDEST))) & (near < FARTHEST * far)
+    alike &= far < FARTHEST * near
+    chosen = np.flatnonzero(alike)
+    pixels = np.asarray(target.camera.img_from_cam(local[chosen])).reshape(-1, 2)
+    with np.errstate(invalid="ignore"):
+        inside = (pixels >= 0).all(1) & (pixels < [target.camera.width, target.camera.height]).all(1)
+    chosen, pixels = chosen[inside], pixels[inside]
+    count = PATCHES[0] * PATCHES[1]
+    own, there = _cells(source, source.pixels), _cells(target, pixels)
+    rich = np.bincount(_cells(target, target.pixels), minlength=count) >= RICH
+    shared = np.bincount(own[chosen][rich[there]], minlength=count) >= RICH
+    found = np.zeros(count, bool)
+    found[own[matched]] = True
+    return np.array([(shared & found).sum(), shared.sum()])
+
+
+def _cells(photo: Placed, pixels: np.ndarray) -> np.ndarray:
+    """The patch (N,) of a photo in which each pixel lies."""
+    cells = (pixels / [photo.camera.width, photo.camera.height] * PATCHES).astype(int)
+    result: np.ndarray = cells.clip(0, np.array(PATCHES) - 1) @ [1, PATCHES[0]]
+    return result
+
+
+# ---- witnesses
+
+
+def contradicted(placed: dict[int, Placed], joins: list[Join], photos: tuple[Photo, ...]) -> list[Pair]:
+    """The pairs that a model relies on, and that two witnesses contradict."""
+    rank = _order_of_capture(photos)
+    sure = [join for join in joins if join.held and _follow(join, rank)]
+    doubtful = [join for join in joins if join.held and not _follow(join, rank)]
+    turned, elsewhere = _by_gimbal(placed, sure, photos), _by_gps(placed, sure, photos)
+    across = _by_order(joins, rank)
+    suspects = []
+    for join in doubtful:
+        witnesses = sum((turned(join.pair), elsewhere(join.pair), across(join.pair)))
+        if witnesses:
+            suspects.append((join, witnesses))
+    if not suspects:
+        return []
+    shares = [patches_found(join, placed) for join in sure[:: len(sure) // 100 + 1]]
+    known = [share for share in shares if share == share]
+    least = MISSED * (float(np.median(known)) if known else 1.0)
+    return [join.pair for join, witnesses in suspects if witnesses >= 2 or patches_found(join, placed) < least]
+
+
+def _follow(join: Join, rank: dict[int, int]) -> bool:
+    """Whether two photos were taken one soon after the other, so that they surely show the same side."""
+    return abs(rank[join.pair[0]] - rank[join.pair[1]]) <= NEIGHBOURS
+
+
+def _by_order(joins: list[Join], rank: dict[int, int]) -> Callable[[Pair], bool]:
+    """Whether the models tear apart what was taken from one photo to the other: neighbours that match well."""
+    tears = [sorted(rank[photo] for photo in join.pair) for join in joins if join.torn and _follow(join, rank)]
+
+    def across(pair: Pair) -> bool:
+        first, last = sorted(rank[photo] for photo in pair)
+        return any(first <= low and high <= last for low, high in tears)
+
+    return across
+
+
+def _order_of_capture(photos: tuple[Photo, ...]) -> dict[int, int]:
+    """Each photo's place in the order of time, or of names where a time is missing."""
+    timed = all(photo.time is not None for photo in photos)
+    order = sorted(range(len(photos)), key=lambda i: (photos[i].time if timed else "", photos[i].name))
+    return {photo: rank for rank, photo in enumerate(order)}
+
+
+def _by_gimbal(
+    placed: dict[int, Placed], sure: list[Join], photos: tuple[Photo, ...]
+) -> Callable[[Pair], bool]:
+    """Whether two photos' gimbals contradict the rotation that a model gives between them."""
+    held = {i: rotations.from_gimbal(gimbal) for i in placed if (gimbal := photos[i].gimbal) is not None}
+
+    def difference(pair: Pair) -> float:
+        i, j = pair
+        if i not in held or j not in held:
+            return 0.0
+        by_model = placed[i].rotation @ placed[j].rotation.T
+        cosine = (np.trace(by_model.T @ held[i].T @ held[j]) - 1) / 2
+        return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
+
+    known = [difference(join.pair) for join in sure if set(join.pair) <= held.keys()]
+    trusted = bool(known) and float(np.median(known)) < TRUSTED
+    return lambda pair: trusted and difference(pair) > TURNED
+
+
+def _by_gps(
+    placed: dict[int, Placed], sure: list[Join], photos: tuple[Photo, ...]
+) -> Callable[[Pair], bool]:
+    """Whether two photos are much nearer in a model than by GPS."""
+    located = [i for i in placed if photos[i].gps is not None]
+    places = dict(zip(located, gps_enu([photos[i] for i in located])[0], strict=True)) if located else {}
+
+    def distances(pair: Pair) -> tuple[float, float]:
+        i, j = pair
+        return (float(np.linalg.norm(places[i] - places[j])),
+                float(np.linalg.norm(placed[i].centre - placed[j].centre)))
+
+    scales: dict[int, float] = {}
+    for model in {photo.model for photo in placed.values()}:
+        pairs = [join.pair for join in sure if set(join.pair) <= places.keys() and placed[join.pair[0]].model == model]
+        ratios = [by_gps / max(by_model, 1e-9) for by_gps, by_model in map(distances, pairs)]
+        scales[model] = float(np.median(ratios)) if ratios else np.inf
+
+    def contradicts(pair: Pair) -> bool:
+        if not set(pair) <= places.keys():
+            return False
+        by_gps, by_model = distances(pair)
+        return by_gps - scales[placed[pair[0]].model] * by_model > max(ELSEWHERE[0], ELSEWHERE[1] * by_gps)
+
+    return contradicts
+
+
+# ---- the mend
+
+
+def without_lookalikes(
+    database: Path, models: list[pycolmap.Reconstruction], photos: tuple[Photo, ...],
+    remap: Callable[[Path], list[pycolmap.Reconstruction]], reporter: Reporter,
+) -> list[pycolmap.Reconstruction]:
+    """The models, mapped once more without the joins that two witnesses contradict where that changes them.
+
+    `remap` maps what a database holds. The user is told which photos stood on a wrong side. Raises Cancelled.
+    """
+    verified = _verified(database, photos)
+    before = _State(models, verified, photos)
+    now, cut = before, set[Pair]()
+
+    def without(pairs: set[Pair]) -> _State:
+        reporter.check_cancelled()
+        with scratch_folder(database.parent / "cut") as folder:
+            _copy_without(database, folder / database.name, photos, pairs)
+            return _State(remap(folder / database.name), verified, photos)
+
+    doubtful = set(contradicted(before.placed, before.joins, photos))
+    if doubtful:
+        cut = doubtful
+        now = without(cut)
+    if now.tears >= max(FEWEST_TEARS, TEARS * now.followers):
+        # The order of capture as the first witness, and the model that it gives as the second.
+        rank = _order_of_capture(photos)
+        others = {join.pair for join in now.joins if not _follow(join, rank)}
+        by_order = without(others)
+        cut = {join.pair for join in by_order.joins if join.pair in others and not _agrees(join, by_order.placed)}
+        now = without(cut)
+    if not cut:
+        return models
+    moved = [photos[i].name for i in _moved(before.placed, now.placed)]
+    if not moved or 2 * now.tears > before.tears or len(now.placed) < len(before.placed):
+        return models
+    reporter.warning(
+        f"{len(moved)} photos seemed to stand on the wrong side of the building, where another side looks like their "
+        f"own: {listed(moved)}. {len(cut)} joins of photos that their surroundings, the gimbal, GPS or the order of "
+        "capture contradict were cut, and the cameras found once more. Look at the cameras before you trust the model."
+    )
+    return now.models
+
+
+class _State:
+    """Models with what they make of the verified matches."""
+
+    def __init__(self, models: list[pycolmap.Reconstruction], verified: list[tuple[Pair, np.ndarray]],
+                 photos: tuple[Photo, ...]) -> None:
+        self.models = models
+        self.placed = placed_photos(models, photos)
+        self.joins = find_joins(self.placed, verified)
+        rank = _order_of_capture(photos)
+        follow = [join for join in self.joins if _follow(join, rank) and len(join.matches) >= STRONG]
+        self.followers, self.tears = len(follow), sum(join.torn for join in follow)
+
+
+def _agrees(join: Join, placed: dict[int, Placed]) -> bool:
+    """Whether most of a join's matches lie on each other's epipolar lines in a model."""
+    if not set(join.pair) <= placed.keys():
+        return False
+    first, second = (placed[photo] for photo in join.pair)
+    rays = [
+        np.concatenate([photo.camera.cam_from_img(photo.pixels[matches]), np.ones((len(matches), 1))], axis=1)
+        for photo, matches in zip((first, second), join.matches.T, strict=True)
+    ]
+    turn = second.rotation @ first.rotation.T
+    shift = second.rotation @ (first.centre - second.centre)
+    lines = np.cross(shift, rays[0] @ turn.T)  # epipolar, in the second photo
+    off = np.abs((lines * rays[1]).sum(1)) / np.maximum(np.linalg.norm(lines[:, :2], axis=1), 1e-12)
+    return first.model == second.model and bool(np.median(off) < OFF_LINE)
+
+
+def _verified(database: Path, photos: tuple[Photo, ...]) -> list[tuple[Pair, np.ndarray]]:
+    """Every pair of photos with its verified matches (K,2)."""
+    with pycolmap.Database.open(database) as opened:
+        position = {image_id: i for i, image_id in enumerate(image_ids(opened, photos))}
+        pairs, geometries = opened.read_two_view_geometries()
+    both = zip(map(pycolmap.pair_id_to_image_pair, pairs), geometries, strict=True)
+    return [
+        ((position[i], position[j]), geometry.inlier_matches) for (i, j), geometry in both
+        if i in position and j in position
+    ]
+
+
+def _copy_without(database: Path, copy: Path, photos: tuple[Photo, ...], cut: set[Pair]) -> None:
+    """Copy what mapping reads of a database, but for some pairs of photos."""
+    with pycolmap.Database.open(database) as opened:
+        ids = image_ids(opened, photos)
+    with pycolmap.Database.open(copy):  # its tables
+        pass
+    with closing(sqlite3.connect(copy)) as connection, connection:
+        connection.execute("ATTACH ? AS whole", (str(database),))
+        for table in ("rigs", "rig_sensors", "cameras", "frames", "frame_data", "images", "keypoints",
+                      "two_view_geometries"):
+            connection.execute(f"INSERT INTO main.{table} SELECT * FROM whole.{table}")
+        connection.executemany(
+            "DELETE FROM main.two_view_geometries WHERE pair_id = ?",
+            [(pycolmap.image_pair_to_pair_id(ids[i], ids[j]),) for i, j in cut],
+        )
+
+
+def _moved(before: dict[int, Placed], after: dict[int, Placed]) -> list[int]:
+    """Photos that stand elsewhere, against the others, than before."""
+    moved = []
+    for model in {photo.model for photo in before.values()}:
+        old = [i for i, photo in before.items() if photo.model == model]
+        homes = [after[i].model for i in old if i in after]
+        home = max(set(homes), key=homes.count, default=-1)
+        both = [i for i in old if i in after and after[i].model == home]
+        options = pycolmap.RANSACOptions()
+        options.random_seed = 0
+        source, target = (np.array([there[i].centre for i in both]).reshape(-1, 3) for there in (before, after))
+        options.max_error = STAYED * float(np.linalg.norm(np.ptp(target, axis=0))) if both else 1.0
+        fit = pycolmap.estimate_sim3d_robust(source, target, options) if len(both) >= 3 else None
+        if fit is None:
+            moved += old
+            continue
+        moves: Any = fit  # a dictionary, whatever pycolmap's stubs say
+        off = np.linalg.norm(np.array([moves["tgt_from_src"] * place for place in source]) - target, axis=1)
+        stayed = {i for i, distance in zip(both, off, strict=True) if distance < options.max_error}
+        moved += [i for i in old if i not in stayed]
+    return sorted(moved)
