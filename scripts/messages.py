@@ -35,7 +35,8 @@ CODE = re.compile(r"[A-Z_0-9]+|[a-z0-9]*[_.][a-z0-9_.]*|points3D\{\}")
 NO_WORDS = re.compile(  # shaders, SQL, file formats, columns of tables, what other programs say, scripts, names of data
     r"[\n<>|\\]|^#|void main|PRAGMA|^format |^property |^comment |red green blue|\bK[ads] \d|%[sd]|^end_|^element "
     r"|sigma|ylat|xlong|easting|northing|ellipsoidh|^role type|nx ny|newmtl|map_Kd|filename|pointid|^px |^py "
-    r"|^\{\} Depth from|^CU-Recon [A-Zl]|^warning: |^UTM |^Unique name|^\{\} mm$|^not a worker|^shift |^ATTACH|^INSERT|^DELETE|^SELECT"
+    r"|^\{\} Depth from|^CU-Recon [A-Zl]|^warning: |^UTM |^Unique name|^\{\} mm$|^not a worker|^shift "
+    r"|^(ATTACH|INSERT|DELETE|SELECT) "
 )
 # Functions that translate or show what they are given, arguments that are shown, variables that hold single words.
 TRANSLATING = {"iface_", "rpt_", "n_", "pgettext_iface", "pgettext_rpt", "pgettext_n", "counted", "poll_message_set",
