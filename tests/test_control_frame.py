@@ -5,14 +5,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pycolmap
 import pytest
 from test_adjust import HEIGHT, LENS, ORIGIN, WIDTH, flight
 
+from curecon_blender.core.adjust.adjust import adjust_cameras, place_and_adjust
 from curecon_blender.core.adjust.bundle import Bundle, adjust
-from curecon_blender.core.adjust.control import CHECK, CONTROL, ControlPoint, ControlSet, Mark
+from curecon_blender.core.adjust.control import CHECK, CONTROL, ControlPoint, ControlSet, Mark, write_control
 from curecon_blender.core.adjust.control_bundle import gps_in_frame, left_out, with_control
 from curecon_blender.core.adjust.control_frame import (
     compared,
@@ -20,10 +22,15 @@ from curecon_blender.core.adjust.control_frame import (
     doubtful,
     marked_points,
     residuals,
+    tell_checks,
 )
 from curecon_blender.core.adjust.marking import seen, to_pixels
+from curecon_blender.core.adjust.record import read_accuracy, rms
 from curecon_blender.core.base.errors import ControlError
 from curecon_blender.core.base.geodesy import enu_to_geodetic
+from curecon_blender.core.base.messages import Reporter
+from curecon_blender.core.base.records import Frame, Photo, PhotoSet
+from curecon_blender.core.sparse.models import MAPPED, write_components
 from curecon_blender.core.sparse.placement import place, transformed
 
 PLACES = np.array([[-25.0, -20, 0.1], [25, -20, 0.2], [25, 20, 0.0], [-25, 20, 0.3],
@@ -217,3 +224,76 @@ def test_gps_in_another_datum_and_other_axes_comes_into_the_control_s_frame() ->
     shifted = gps_in_frame(replace(bundle, positions=centres - [3.0, -2.0, 35.0]), local=False)
     np.testing.assert_allclose(shifted.positions[known], centres[known], atol=0.05)
     assert np.isfinite(transformed(MOVED, shifted.positions[known[:, 2]])).all()
+
+
+def mapped(*, rtk: bool) -> tuple[pycolmap.Reconstruction, dict[str, Photo], pycolmap.Reconstruction]:
+    """The flight as it comes out of the mapper, its photos without a calibration, and the true model."""
+    model, photos, _ = flight(rtk=rtk)
+    return model, {name: replace(photo, lens=None) for name, photo in photos.items()}, flight(bent=False)[0]
+
+
+def check_errors(model: pycolmap.Reconstruction, control: ControlSet, frame: Frame) -> tuple[float, float]:
+    return rms(residuals(model, control, frame.origin, CHECK))
+
+
+def test_control_makes_a_bent_site_true_and_check_points_have_no_part_in_it() -> None:
+    """Within 1.5 pixels on the ground across and 3 in height, where GPS alone is metres off."""
+    model, photos, truth = mapped(rtk=False)
+    control = measured(truth, checks=4)
+    placement, adjusted = place_and_adjust(model, photos, Reporter(), control)
+    frame = placement.frame
+    assert adjusted is not None and frame.up == "control" and not adjusted.left_out
+    pixel = 40.0 / LENS.f
+    plan, height = check_errors(model, control, frame)
+    assert plan < 1.5 * pixel and height < 3 * pixel
+    wrong = [replace(point, place=(24.5, 117.1, 900.0)) for point in control.of_role(CHECK)]
+    other, photos, _ = mapped(rtk=False)
+    place_and_adjust(other, photos, Reporter(), control.with_points(wrong))
+    np.testing.assert_array_equal(centres_of(other), centres_of(model))
+
+
+def test_six_points_and_none_to_check_are_left_out_one_by_one() -> None:
+    model, photos, truth = mapped(rtk=False)
+    control = measured(truth).without_point("p7").without_point("p6")
+    placement, adjusted = place_and_adjust(model, photos, Reporter(), control)
+    assert adjusted is not None
+    frame, out = placement.frame, adjusted.left_out
+    assert [one.name for one in out] == [f"p{n}" for n in range(6)]
+    held = rms(residuals(model, control, frame.origin, CONTROL))
+    assert rms(out)[1] > held[1] and rms(out)[0] < 0.1
+
+
+@pytest.mark.parametrize("geoid", [0.0, 31.0])
+def test_rtk_helps_control_unless_its_heights_are_of_another_datum(geoid: float) -> None:
+    model, photos, truth = mapped(rtk=True)
+    for name, photo in photos.items():
+        assert photo.gps is not None and photo.gps.altitude is not None
+        photos[name] = replace(photo, gps=replace(photo.gps, altitude=photo.gps.altitude + geoid))
+    control = measured(truth, checks=4)
+    frame = place_and_adjust(model, photos, Reporter(), control)[0].frame
+    plan, height = check_errors(model, control, frame)
+    assert plan < 0.04 and height < 0.08
+    if not geoid:  # the cameras' own height, which control on level ground does not tell
+        assert model.camera(1).focal_length_x == pytest.approx(LENS.f, rel=0.005)
+
+
+def test_the_stage_reads_control_and_tells_checks_without_a_new_adjustment(tmp_path: Path) -> None:
+    model, photos, truth = mapped(rtk=True)
+    write_components(tmp_path, MAPPED, [(model, {})])
+    control = measured(truth, checks=4)
+    write_control(tmp_path, control)
+    photo_set = PhotoSet(photos=tuple(photos.values()))
+    (frame,) = adjust_cameras(photo_set, tmp_path, Reporter())
+    tell_checks(tmp_path, control)
+    folder = tmp_path / "sparse" / "0"
+    told = read_accuracy(folder)
+    assert len(told.control) == len(told.check) == 4 and not told.left_out
+    assert not {one.name for one in told.control} & {one.name for one in told.check}
+    before = (folder / "images.bin").stat().st_mtime_ns
+    fewer = control.without_mark("p7", next(mark.photo for mark in control.marks_of("p7")))
+    assert fewer.adjusted_to == control.adjusted_to  # what the stage's key is made of
+    tell_checks(tmp_path, fewer)
+    again = read_accuracy(folder)
+    assert again.check != told.check and again.control == told.control
+    assert (folder / "images.bin").stat().st_mtime_ns == before
+    assert frame.up == "control"

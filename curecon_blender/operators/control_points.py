@@ -8,17 +8,21 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
-from bpy.props import CollectionProperty, StringProperty
+from bpy.props import CollectionProperty, EnumProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
+from ..core.adjust.control import read_control
 from ..core.adjust.control_files import import_files, write_odm
 from ..core.base.errors import CuReconError
+from ..core.base.options import CONTROL, DICTIONARIES
 from ..core.photos import record as photos_record
 from ..scene import control, viewport
 from . import paths, running
+from .running import WorkerOperator
 
 
 class CURECON_OT_import_control(bpy.types.Operator):
@@ -131,4 +135,41 @@ class CURECON_OT_delete_control_point(bpy.types.Operator):
         return {"FINISHED"}
 
 
-CLASSES = (CURECON_OT_import_control, CURECON_OT_export_control, CURECON_OT_delete_control_point)
+class CURECON_OT_find_targets(WorkerOperator, bpy.types.Operator):
+    """Find coded targets in the photos, and mark with them the points whose names end in their numbers"""
+
+    bl_idname = "curecon.find_targets"
+    bl_label = "Find Targets"
+    bl_options = {"UNDO"}
+
+    dictionary: EnumProperty(
+        name="Targets", description="Which coded targets were laid out, as OpenCV calls them",
+        items=[(name, name, "Targets of this kind") for name in DICTIONARIES],
+    )
+
+    task = "Finding targets"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not running.idle(cls):
+            return False
+        if not control.of(context.scene).points:
+            cls.poll_message_set("There are no control points: import them first")
+            return False
+        return True
+
+    def workspace(self, context: bpy.types.Context) -> Path | None:
+        return _workspace(context)
+
+    def arguments(self, context: bpy.types.Context) -> list[str]:
+        return [CONTROL, str(_workspace(context)), "--find-targets", "--dictionary", self.dictionary]
+
+    def done(self, context: bpy.types.Context, scene: bpy.types.Scene, summary: dict[str, Any]) -> str:
+        before, found = len(control.of(scene).marks), read_control(_workspace(context))
+        control.put(scene, found)
+        return rpt_("{} marks are new.").format(len(found.marks) - before)
+
+
+CLASSES = (
+    CURECON_OT_find_targets, CURECON_OT_import_control, CURECON_OT_export_control, CURECON_OT_delete_control_point,
+)

@@ -17,6 +17,7 @@ from ..scene import control
 from .layout import Panel, counted, paragraph
 
 ENOUGH = 3  # control points with two marks each, from which on they alone place the site
+MOST_MARKS = 6  # of the chosen point that are listed, the worst first
 ICONS = {"control": "PINNED", "check": "CHECKMARK", "off": "UNPINNED"}
 
 
@@ -80,7 +81,8 @@ class CURECON_PT_control(Panel, bpy.types.Panel):
         paragraph(self.layout, context, coordinates(point), icon="EMPTY_AXIS")
         found = control.errors(context.scene, point.name)
         marks = self.layout.column(align=True)
-        for mark in control.of(context.scene).marks_of(point.name):
+        listed = control.of(context.scene).marks_of(point.name)
+        for mark in sorted(listed, key=lambda mark: -found.get(mark.photo, 0.0))[:MOST_MARKS]:
             row = marks.row(align=True)
             row.label(text=mark.photo, icon="DOT", translate=False)
             off = found.get(mark.photo)
@@ -89,12 +91,15 @@ class CURECON_PT_control(Panel, bpy.types.Panel):
             right.label(text="" if off is None else iface_("{:.1f} px").format(off), translate=False)
             remove = row.operator("curecon.set_mark", text="", icon="X", emboss=False)
             remove.point, remove.photo = point.name, mark.photo
+        if len(listed) > MOST_MARKS:
+            marks.label(text=iface_("and {} that fit better").format(len(listed) - MOST_MARKS), translate=False)
 
     def _draw_marking(self, context: bpy.types.Context, properties: bpy.types.PropertyGroup) -> None:
         layout = self.layout
         row = layout.row()
         row.scale_y = 1.3
         row.operator("curecon.mark_points", icon="CURSOR")
+        layout.operator_menu_enum("curecon.find_targets", "dictionary", icon="VIEWZOOM")
         row = layout.row(align=True)
         row.operator("curecon.show_point", text="Previous Photo", icon="TRIA_LEFT").step = -1
         row.operator("curecon.show_point", text="Next Photo", icon="TRIA_RIGHT").step = 1

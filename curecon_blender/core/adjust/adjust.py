@@ -19,11 +19,24 @@ from ..sparse.placement import BENT, Placement, middle_on_the_ground, place, wit
 from ..sparse.record import FRAME_FILE, read_frame
 from . import bending
 from .bundle import LENS_PARAMETERS, Bundle, adjust, fit_points, posterior_sigmas
-from .conversion import registered, started, to_bundle, write_back
+from .control import CHECK, CONTROL, ControlSet
+from .control_bundle import known_with_control, left_out
+from .control_frame import (
+    MarkedPoint,
+    control_of,
+    doubtful,
+    holds,
+    marked_points,
+    placed,
+    residuals,
+    told_by,
+    with_positions,
+)
+from .conversion import registered, started, write_back
 from .precision import precision
 from .precision_record import Precision, write_precision
 from .priors import FOCAL, MAKER, NOTHING, gps_positions, lens_priors
-from .record import ACCURACY_FILE, Accuracy, LensFound, PhotoResidual
+from .record import ACCURACY_FILE, Accuracy, LensFound, PhotoResidual, PointResidual
 
 CONTRADICTS = 15.0, 10.0  # metres, times the median: a photo farther than both from its GPS is named
 # Photos whose camera is wrong and not their GPS: that share of the distance lies along their line of sight, in so many.
@@ -40,16 +53,18 @@ _HELD = 1e-9  # of what is held fast
 _ROUGHLY = 1e-3  # of the cost: enough where one only has to come near
 _FREE_AT_FIRST = [LENS_PARAMETERS.index(name) for name in ("k1", "k2", "p1", "p2")]
 _K3 = LENS_PARAMETERS.index("k3")
+_NO_CONTROL = ControlSet()
 
 
 @dataclass(frozen=True, kw_only=True)
 class Adjusted:
-    """A model as adjusted: the bundle with what was known of it, what that was of each lens, and how precisely it is
-    known now."""
+    """A model as adjusted: the bundle with what was known of it, what that was of each lens, how precisely it is known
+    now, and what control points are off each of which was left out once."""
 
     bundle: Bundle
     sources: tuple[str, ...]
     precision: Precision
+    left_out: tuple[PointResidual, ...] = ()
 
     def moved(self, transform: pycolmap.Sim3d) -> Adjusted:
         """The same where the model was moved; its bundle stays."""
@@ -61,10 +76,12 @@ def adjust_cameras(photo_set: PhotoSet, workspace: Path, reporter: Reporter) -> 
     """Place and adjust the components in `workspace/sparse/mapped/N`; write each to `workspace/sparse/N` with the
     records of its frame and accuracy. A given model, which has its frame already, stays as it is.
 
-    Returns the components' frames. GPS that contradicts the cameras is warned of. Raises SparseError for a component
-    that cannot be read, Cancelled, WorkspaceError.
+    The workspace's control points hold the cameras where they are marked. Returns the components' frames. GPS and
+    control that contradict the cameras are warned of. Raises SparseError for a component that cannot be read,
+    ControlError for control that cannot belong to the photos, Cancelled, WorkspaceError.
     """
-    photos = {photo.name: photo for photo in photo_set.photos}
+    control = control_of(workspace, photo_set, reporter)
+    photos = with_positions({photo.name: photo for photo in photo_set.photos}, control)
     fixed = sum(photo.gps_sigmas is not None for photo in photos.values())
     located = sum(photo.gps is not None for photo in photos.values())
     if 0 < fixed < located:
@@ -80,9 +97,11 @@ def adjust_cameras(photo_set: PhotoSet, workspace: Path, reporter: Reporter) -> 
         model = read_model(folder)
         if (folder / FRAME_FILE).is_file():
             frame = read_frame(folder)
-            accuracy, told = _judged(model, photos, frame, None), None
+            accuracy, told = _judged(model, photos, frame, None, control), None
         else:
-            frame, accuracy, told = _placed(model, photos, index, reporter)
+            frame, accuracy, told = _placed(model, photos, control, index, reporter)
+        for sentence in doubtful(accuracy.control, control):
+            reporter.warning(sentence)
         components.append((model, {FRAME_FILE: frame, ACCURACY_FILE: accuracy}))
         frames.append(frame)
         precisions.append(told)
@@ -95,12 +114,12 @@ def adjust_cameras(photo_set: PhotoSet, workspace: Path, reporter: Reporter) -> 
 
 
 def _placed(
-    model: pycolmap.Reconstruction, photos: Mapping[str, Photo], index: int, reporter: Reporter
+    model: pycolmap.Reconstruction, photos: Mapping[str, Photo], control: ControlSet, index: int, reporter: Reporter
 ) -> tuple[Frame, Accuracy, Precision | None]:
     """Bring a mapped model into the site frame, in place, adjusted where that can be; tell what the user must know."""
-    placement, adjusted = place_and_adjust(model, photos, reporter)
+    placement, adjusted = place_and_adjust(model, photos, reporter, control)
     _warn_of_gps(placement, model.num_reg_images(), index, reporter)
-    accuracy = _judged(model, photos, placement.frame, adjusted)
+    accuracy = _judged(model, photos, placement.frame, adjusted, control)
     doubt = bending.doubt(accuracy.domes, accuracy.focal_sigma)
     if doubt:
         reporter.warning(f"{doubt} {bending.REMEDY}")
@@ -113,31 +132,48 @@ def _placed(
 
 
 def place_and_adjust(
-    model: pycolmap.Reconstruction, photos: Mapping[str, Photo], reporter: Reporter
+    model: pycolmap.Reconstruction, photos: Mapping[str, Photo], reporter: Reporter,
+    control: ControlSet = _NO_CONTROL,
 ) -> tuple[Placement, Adjusted | None]:
     """Bring a mapped model into the site frame, in place, and adjust it. Returns its placement and its adjustment, None
     where it stays as the mapper has it."""
-    placement = place(model, photos)
+    placement = placed(model, photos, control, reporter)
     model.transform(placement.site_from_model)
     frame = placement.frame
-    adjusted = adjust_model(model, photos, frame.origin, reporter)
+    held = marked_points(model, control, CONTROL) if holds(frame, control) else []
+    adjusted = adjust_model(model, photos, frame.origin, reporter, held, by_control=frame.up == "control",
+                            one_by_one=not control.of_role(CHECK))
     if adjusted is None:
         return placement, None
+    if held:  # which have put it in its place, but for the ground
+        frame = told_by(frame, control, residuals(model, control, frame.origin, CONTROL))
+        if frame.origin is not None:
+            frame, to_ground = _grounded(model, frame, frame.origin)
+            adjusted = adjusted.moved(to_ground)
+        return replace(placement, frame=frame), adjusted
     again = place(model, photos)
     if frame.up != "gps" or again.frame.up != "gps" or frame.origin is None or frame.origin.altitude is None:
         model.transform(again.site_from_model)
         return again, adjusted.moved(again.site_from_model)
     # GPS with its sigmas and all else have put it in its place; but for the ground, whose height has changed.
-    level = float(middle_on_the_ground(np.array([point.xyz for point in model.points3D.values()]))[2])
-    to_ground = pycolmap.Sim3d(1.0, pycolmap.Rotation3d(), np.array([0.0, 0.0, -level]))
-    model.transform(to_ground)
-    frame = replace(again.frame, origin=replace(frame.origin, altitude=frame.origin.altitude + level))
+    frame, to_ground = _grounded(model, again.frame, frame.origin)
     off = [np.linalg.norm(residual.off) for residual in _gps_residuals(model, photos, frame)]
     return replace(again, frame=with_residual(frame, float(np.median(off)))), adjusted.moved(to_ground)
 
 
+def _grounded(
+    model: pycolmap.Reconstruction, frame: Frame, origin: GeoPosition
+) -> tuple[Frame, pycolmap.Sim3d]:
+    """Bring a model whose frame has its origin at `origin` onto height 0; its frame then, and how it was moved."""
+    level = float(middle_on_the_ground(np.array([point.xyz for point in model.points3D.values()]))[2])
+    to_ground = pycolmap.Sim3d(1.0, pycolmap.Rotation3d(), np.array([0.0, 0.0, -level]))
+    model.transform(to_ground)
+    return replace(frame, origin=replace(origin, altitude=(origin.altitude or 0.0) + level)), to_ground
+
+
 def _judged(
-    model: pycolmap.Reconstruction, photos: Mapping[str, Photo], frame: Frame, adjusted: Adjusted | None
+    model: pycolmap.Reconstruction, photos: Mapping[str, Photo], frame: Frame, adjusted: Adjusted | None,
+    control: ControlSet,
 ) -> Accuracy:
     """What the cameras of a model in its frame rest on, and how well they agree with it."""
     images = registered(model)
@@ -153,6 +189,8 @@ def _judged(
         domes=bending.domes(taken, centres, np.where(np.isfinite(sigmas[:, 2]), known[:, 2], np.nan),
                             float(np.median(above))) if frame.scale == "metres" else (),
         shutter_shift=bending.shutter_shift(taken, focal, above) if frame.scale == "metres" else None,
+        control=residuals(model, control, frame.origin, CONTROL) if holds(frame, control) else (),
+        left_out=adjusted.left_out if adjusted else (),
     )
 
 
@@ -177,9 +215,11 @@ def _gps_residuals(
 
 
 def adjust_model(
-    model: pycolmap.Reconstruction, photos: Mapping[str, Photo], origin: GeoPosition | None, reporter: Reporter
+    model: pycolmap.Reconstruction, photos: Mapping[str, Photo], origin: GeoPosition | None, reporter: Reporter,
+    held: Sequence[MarkedPoint] = (), *, by_control: bool = False, one_by_one: bool = False,
 ) -> Adjusted | None:
-    """Adjust a model in the site frame, in place. Its cameras are FULL_OPENCV afterwards.
+    """Adjust a model in the site frame, in place, with the control points that hold it. Its cameras are FULL_OPENCV
+    afterwards. `by_control` is a frame that control points gave; with `one_by_one` each is left out once.
 
     None where the model stays as it is: where nothing but the photos themselves is known, and the adjustment predicts
     observations that were kept from it no better than the mapper does. The user is told where a calibration does not
@@ -196,7 +236,7 @@ def adjust_model(
         sources = [lens.source for lens in lenses.values()]
         if best not in sources:
             continue
-        mapped = to_bundle(model, photos, lenses, origin)
+        mapped = known_with_control(model, photos, lenses, origin, held, by_control=by_control)
         kept_back = _kept_back(mapped)
         adjusted = _adjusted(mapped.without(kept_back), sources, reporter.check_cancelled)
         error = _error(adjusted, mapped, kept_back)
@@ -209,12 +249,13 @@ def adjust_model(
                 "The maker's calibration of the camera does not fit the photos and is not used: it is another lens's, "
                 "or the pictures were edited. Heights may be wrong if all photos look straight down from one height."
             )
-    if error > (mappers if origin is None else WORSE * mappers):
+    if error > (mappers if origin is None and not held else WORSE * mappers):
         return None
     adjusted = adjust(adjusted.observing(mapped), reporter.check_cancelled, _ROUGHLY)
     write_back(adjusted, model)
+    out = left_out(adjusted, held, reporter.check_cancelled) if one_by_one else ()
     return Adjusted(bundle=_restated(adjusted, mapped, mapped.lens_sigmas), sources=tuple(sources),
-                    precision=precision(adjusted, mapped.lens_sigmas))
+                    precision=precision(adjusted, mapped.lens_sigmas), left_out=out)
 
 
 def lenses_found(bundle: Bundle, sources: Sequence[str]) -> tuple[tuple[LensFound, ...], float]:
@@ -229,6 +270,7 @@ def lenses_found(bundle: Bundle, sources: Sequence[str]) -> tuple[tuple[LensFoun
 def _kept_back(bundle: Bundle) -> np.ndarray:
     """(M,) one observation each of some points that many photos see, kept from the adjustment to judge it by."""
     chosen = np.flatnonzero(np.diff(bundle.starts) >= SEEN_BY_MANY)[::_KEPT_BACK]
+    chosen = np.setdiff1d(chosen, bundle.control)
     kept = np.zeros(len(bundle.photo), bool)
     kept[bundle.starts[chosen] + np.arange(len(chosen)) % SEEN_BY_MANY] = True
     return kept

@@ -38,8 +38,9 @@ class Bundle:
     (L,9) by LENS_PARAMETERS; `points` (P,3). Observations are sorted by point: `photo`, `point` (M,), `pixels` (M,2).
 
     Known with its sigma, infinite where it is not: `positions` (N,3), of one kind, or of the kinds `receivers` (N,);
-    `attitudes` (N,3,3) cam_from_world with one sigma (N,) in radians; `known_lenses` (L,9). Control: `control` (C,) are
-    the numbers of points whose place is known, `control_positions` and `control_sigmas` (C,3); their marks are
+    with `apart` they tell only how photos lie to each other, since all may be off by another datum or a receiver's
+    error; `attitudes` (N,3,3) cam_from_world with one sigma (N,) in radians; `known_lenses` (L,9). Control: `control`
+    (C,) are the numbers of points whose place is known, `control_positions` and `control_sigmas` (C,3); their marks are
     observations like others. `observation_sigmas` (M,) in pixels are of one coordinate; nan, or the field None, where
     the residuals tell, and then `together` is by how much they are too small for what all of them tell together.
     """
@@ -63,12 +64,29 @@ class Bundle:
     control_sigmas: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     observation_sigmas: np.ndarray | None = None
     receivers: np.ndarray | None = None
+    apart: bool = False
     together: float = TOGETHER
 
     @property
     def starts(self) -> np.ndarray:
         """(P+1,) where each point's observations begin."""
         return np.searchsorted(self.point, np.arange(len(self.points) + 1))
+
+    @property
+    def positions_off(self) -> np.ndarray:
+        """(N,3) metres from each photo to its known position, without what all are off where they tell `apart` only."""
+        off = np.asarray(self.positions - self.centres)
+        if not self.apart:
+            return off
+        for axis in range(3):
+            known = np.isfinite(self.position_sigmas[:, axis])
+            if known.any():
+                mine, sigmas = off[known, axis], self.position_sigmas[known, axis]
+                common = float(np.median(mine))
+                for _ in range(5):
+                    common = float(np.average(mine, weights=_weights((mine - common) / sigmas) / sigmas**2))
+                off[:, axis] -= common
+        return off
 
     @property
     def control_off(self) -> np.ndarray:
@@ -149,7 +167,7 @@ def _weighed(bundle: Bundle, stated: Bundle, ease: float) -> Bundle:
     those of its control no smaller than `ease` metres."""
     bundle = replace(bundle, control_sigmas=np.maximum(stated.control_sigmas, ease))
     known, least = np.isfinite(stated.position_sigmas), np.zeros_like(stated.position_sigmas)
-    off = np.abs(bundle.centres - bundle.positions)
+    off = np.abs(bundle.positions_off)
     # A similarity of the whole takes up some of them where they are few.
     taken = np.sqrt(known.sum() / max(known.sum() - 7, 1))
     receivers = np.zeros(len(known), int) if bundle.receivers is None else bundle.receivers
@@ -211,7 +229,7 @@ def _cost(bundle: Bundle, sigmas: np.ndarray) -> float:
 
 
 def _cost_of_datum(bundle: Bundle) -> float:
-    positions = _loss(np.linalg.norm((bundle.centres - bundle.positions) / bundle.position_sigmas, axis=1))
+    positions = _loss(np.linalg.norm(bundle.positions_off / bundle.position_sigmas, axis=1))
     attitudes = _loss(np.linalg.norm(_turns(bundle), axis=1) / bundle.attitude_sigmas)
     return positions + attitudes + float(np.sum((bundle.control_off / bundle.control_sigmas) ** 2))
 
@@ -227,7 +245,7 @@ def settled(bundle: Bundle) -> Bundle:
         return bundle
     for _ in range(_SETTLING):
         middle = bundle.centres.mean(axis=0)
-        off = (bundle.positions - bundle.centres)[known]
+        off = bundle.positions_off[known]
         weights = _weights(np.linalg.norm(off / bundle.position_sigmas[known], axis=1))
         places = np.concatenate([bundle.centres[known], bundle.points[bundle.control]]) - middle
         off = np.concatenate([off, bundle.control_off])
@@ -237,6 +255,9 @@ def settled(bundle: Bundle) -> Bundle:
         nought = np.zeros_like(x)
         cross = np.stack([nought, z, -y, -z, nought, x, y, -x, nought], axis=1).reshape(-1, 3, 3)
         slopes = np.concatenate([cross, np.broadcast_to(np.eye(3), cross.shape), places[:, :, None]], axis=2)
+        if bundle.apart:
+            gps, own = slopes[: known.sum()], weights[: known.sum()]
+            slopes = np.concatenate([gps - _common(gps, own), slopes[known.sum() :]])
         system = np.einsum("nia,ni,nib->ab", slopes, weights, slopes)
         gradient = np.einsum("nia,ni,ni->a", slopes, weights, off)
         turns = _turns(bundle)
@@ -256,6 +277,11 @@ def settled(bundle: Bundle) -> Bundle:
             break
         bundle = moved
     return bundle
+
+
+def _common(slopes: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """(3,A) the weighted mean of slopes (N,3,A) by axis, weights (N,3)."""
+    return np.asarray(np.einsum("nia,ni->ia", slopes, weights) / np.maximum(weights.sum(axis=0), 1e-300)[:, None])
 
 
 def _turns(bundle: Bundle) -> np.ndarray:
@@ -278,11 +304,12 @@ def _normal_equations(
         bundle.pixels, weights, damping, known, toward, system, gradient,
     )
     diagonal = np.zeros(size)
-    off = bundle.positions - bundle.centres
+    off = bundle.positions_off
     known = _weights(np.linalg.norm(off / bundle.position_sigmas, axis=1))[:, None] / bundle.position_sigmas**2
     at = POSE * np.arange(photos)[:, None]
     diagonal[at + [3, 4, 5]] += known
     gradient[at + [3, 4, 5]] += known * off
+    positions, off_positions = known, off
     turns = _turns(bundle)
     known = _weights(np.linalg.norm(turns, axis=1) / bundle.attitude_sigmas) / bundle.attitude_sigmas**2
     diagonal[at + [0, 1, 2]] += known[:, None]
@@ -292,6 +319,12 @@ def _normal_equations(
     gradient[POSE * photos :] += (known * (bundle.known_lenses - bundle.lenses)).ravel()
     system = np.tril(system) + np.tril(system, -1).T
     system[np.diag_indices(size)] += diagonal
+    if bundle.apart:  # their common offset is one more unknown, which is reduced
+        for axis in range(3):
+            rows, own = POSE * np.arange(photos) + 3 + axis, positions[:, axis]
+            if own.any():
+                system[np.ix_(rows, rows)] -= np.outer(own, own) / own.sum()
+                gradient[rows] -= own * (own * off_positions[:, axis]).sum() / own.sum()
     return system, gradient, blocks
 
 

@@ -119,6 +119,17 @@ class ControlSet:
     def marks_of(self, name: str) -> tuple[Mark, ...]:
         return tuple(mark for mark in self.marks if mark.point == name)
 
+    def of_roles(self, *roles: str) -> ControlSet:
+        """The points of some roles with their marks, and no positions."""
+        points = self.of_role(*roles)
+        names = {point.name for point in points}
+        return ControlSet(points=points, marks=tuple(mark for mark in self.marks if mark.point in names))
+
+    @property
+    def adjusted_to(self) -> ControlSet:
+        """What of it the cameras are adjusted to: check points are none of that."""
+        return replace(self.of_roles(CONTROL), positions=self.positions)
+
     def with_points(self, points: Iterable[ControlPoint]) -> ControlSet:
         """With these points in place of those of their names, or at the end. Raises ControlError for points of the
         site's own axes among others."""

@@ -4,15 +4,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+import pycolmap
 
-from ..base.records import GeoPosition
+from ..base.geodesy import gps_enu
+from ..base.records import GeoPosition, Photo
 from .bundle import Bundle, adjust
 from .control import frame_positions
 from .control_frame import MarkedPoint
+from .conversion import registered, to_bundle
+from .priors import LensPrior
 from .record import PointResidual
 
 LEAST_LEFT_OUT, MOST_LEFT_OUT = 6, 20  # control points of which each is left out once where none is a check point
@@ -39,10 +43,24 @@ def with_control(
     )
 
 
+def known_with_control(
+    model: pycolmap.Reconstruction, photos: Mapping[str, Photo], lenses: Mapping[int, LensPrior],
+    origin: GeoPosition | None, points: Sequence[MarkedPoint], *, by_control: bool,
+) -> Bundle:
+    """A model in its site frame as a bundle with all that is known of it, the points too. `by_control` is a frame that
+    they gave: GPS counts from its own middle where that is not on Earth."""
+    names = [image.name for image in registered(model)]
+    located = [photos[name] for name in names if photos[name].gps is not None]
+    counted_from = gps_enu(located)[1] if by_control and origin is None and located else origin
+    bundle = to_bundle(model, photos, lenses, counted_from)
+    if by_control:
+        bundle = gps_in_frame(bundle, local=origin is None)
+    return with_control(bundle, names, points, origin)
+
+
 def gps_in_frame(bundle: Bundle, *, local: bool) -> Bundle:
-    """The bundle with its photos' GPS moved by what all of it is off: in a frame of control points a receiver's common
-    error and another datum of heights say nothing. In a `local` frame it is turned about Z as well, and the gimbals'
-    attitudes with it."""
+    """The bundle whose photos' GPS tells how they lie to each other and not where: in a frame of control points a
+    receiver's common error and another datum of heights say nothing. For a `local` frame it is turned about Z."""
     known = np.isfinite(bundle.position_sigmas)
     plan, turn = known[:, :2].all(axis=1), np.eye(3)
     if local and plan.sum() >= 2:
@@ -50,7 +68,7 @@ def gps_in_frame(bundle: Bundle, *, local: bool) -> Bundle:
     positions = bundle.positions @ turn.T
     off = np.where(known, bundle.centres - positions, np.nan)
     shift = np.array([np.nanmedian(axis) if np.isfinite(axis).any() else 0.0 for axis in off.T])
-    return replace(bundle, positions=positions + shift, attitudes=bundle.attitudes @ turn.T)
+    return replace(bundle, positions=positions + shift, apart=True)
 
 
 def _turn_in_plan(source: np.ndarray, target: np.ndarray) -> np.ndarray:
@@ -70,8 +88,10 @@ def left_out(
     adjusted: Bundle, points: Sequence[MarkedPoint], progress: Callable[[], None] = lambda: None
 ) -> tuple[PointResidual, ...]:
     """How far each control point of an adjusted bundle is off where it is left to its marks alone and all is adjusted
-    once more. Raises Cancelled."""
-    found = []
+    once more; nothing where they are too few or many. Raises Cancelled."""
+    found: list[PointResidual] = []
+    if not LEAST_LEFT_OUT <= len(points) <= MOST_LEFT_OUT:
+        return ()
     for which, (number, given) in enumerate(zip(adjusted.control, adjusted.control_positions, strict=True)):
         kept = np.arange(len(adjusted.control)) != which
         without = adjust(replace(

@@ -6,7 +6,7 @@ check points are off in it."""
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -16,11 +16,24 @@ import pycolmap
 from ..base.errors import ControlError
 from ..base.files import write_json
 from ..base.geodesy import enu_to_geodetic
-from ..base.records import Frame, GeoPosition, Photo
+from ..base.messages import Reporter
+from ..base.records import Frame, GeoPosition, Photo, PhotoSet
 from ..sparse.models import ADJUSTED, find_models, read_model
-from ..sparse.placement import LINE, Placement, middle_on_the_ground, similarity, transformed, triplets
+from ..sparse.placement import LINE, Placement, middle_on_the_ground, place, similarity, transformed, triplets
 from ..sparse.record import read_frame
-from .control import CHECK, CONTROL, ControlPoint, ControlSet, Mark, frame_positions, to_json
+from .control import (
+    CHECK,
+    CONTROL,
+    ControlPoint,
+    ControlSet,
+    Mark,
+    check_places,
+    frame_positions,
+    read_control,
+    resolved,
+    thin_points,
+    to_json,
+)
 from .marking import seen, triangulate
 from .record import ACCURACY_FILE, PointResidual, read_accuracy
 
@@ -89,13 +102,38 @@ def control_placement(model: pycolmap.Reconstruction, control: ControlSet) -> Pl
         latitude, longitude, altitude = enu_to_geodetic(middle[None], origin)[0].tolist()
         origin = GeoPosition(latitude=latitude, longitude=longitude, altitude=altitude)
         fit = _fit(marked, frame_positions(given, origin))
-    off = np.linalg.norm(transformed(fit, marked) - frame_positions(given, origin), axis=1)
     frame = Frame(scale="metres", up="control", north=origin is not None, origin=origin)
-    return Placement(site_from_model=fit, frame=told_by(frame, control, np.array(off)))
+    found = [residual(point, there, now) for point, now, there in zip(
+        points, transformed(fit, marked), frame_positions(given, origin), strict=True)]
+    return Placement(site_from_model=fit, frame=told_by(frame, control, found))
 
 
-def told_by(frame: Frame, control: ControlSet, off: np.ndarray) -> Frame:
-    """The frame of control points with its note: they are so far off (N,), metres."""
+def control_of(workspace: Path, photo_set: PhotoSet, reporter: Reporter) -> ControlSet:
+    """The workspace's control points as these photos have them; the user is told of what takes no part. Raises
+    ControlError for points and marks that cannot be of these photos, WorkspaceError."""
+    control, said = resolved(read_control(workspace), photo_set.photos, {})
+    for sentence in (*said, *check_places(control, photo_set.photos, {}), *thin_points(control)):
+        reporter.warning(sentence)
+    return control
+
+
+def placed(
+    model: pycolmap.Reconstruction, photos: Mapping[str, Photo], control: ControlSet, reporter: Reporter
+) -> Placement:
+    """Where a model belongs by its control points, else by GPS or gravity. Raises ControlError."""
+    otherwise, by_control = place(model, photos), control_placement(model, control)
+    if by_control is None:
+        return otherwise
+    if said := compared(by_control, otherwise):
+        reporter.warning(said)
+    return by_control
+
+
+def told_by(frame: Frame, control: ControlSet, found: Sequence[PointResidual]) -> Frame:
+    """The frame with its note, where control points gave it that are off like those."""
+    if frame.up != "control":
+        return frame
+    off = np.array([np.linalg.norm(one.off) for one in found])
     axes = "Metres, Z up and north" if frame.origin is not None else "Metres and Z up, in the site's own axes,"
     places = frame_positions(control.of_role(CONTROL), frame.origin)
     reach = max(float(np.linalg.norm(places - places.mean(0), axis=1).max()), 1e-3)
@@ -174,12 +212,13 @@ def residuals(
     """How far the marks of points put them from their coordinates, in an adjusted model in the site frame."""
     found = marked_points(model, control, *roles)
     given = frame_positions([point.point for point in found], origin)
-    return tuple(residual(point, place) for point, place in zip(found, given, strict=True))
+    return tuple(residual(point, there) for point, there in zip(found, given, strict=True))
 
 
-def residual(marked: MarkedPoint, given: np.ndarray) -> PointResidual:
-    """Of a marked point from its given place (3,); an unknown height is off by nothing."""
-    off = marked.place - given
+def residual(marked: MarkedPoint, given: np.ndarray, place: np.ndarray | None = None) -> PointResidual:
+    """Of a marked point, whose marks put it at `place` (3,), from its given place (3,); an unknown height is off by
+    nothing."""
+    off = (marked.place if place is None else place) - given
     if marked.point.place[2] is None:
         off[2] = 0.0
     rays, _ = seen(marked.poses, marked.place)
@@ -226,13 +265,12 @@ def with_positions(photos: Mapping[str, Photo], control: ControlSet) -> dict[str
 def tell_checks(workspace: Path, control: ControlSet) -> None:
     """Write what the check points are off into each component's accuracy.json, where it was of other points or marks.
     They take no part in the adjustment, so that nothing else has to be made anew for them. Raises WorkspaceError."""
-    used = control.of_role(CHECK)
-    names = {point.name for point in used}
-    checks = ControlSet(points=used, marks=tuple(mark for mark in control.marks if mark.point in names))
-    key = hashlib.sha256(to_json(checks).encode()).hexdigest()[:20] if used else ""
+    checks = control.of_roles(CHECK)
+    key = hashlib.sha256(to_json(checks).encode()).hexdigest()[:20] if checks.points else ""
     for folder in find_models(workspace / ADJUSTED):
         accuracy = read_accuracy(folder)
         if accuracy.checked != key:
             frame = read_frame(folder)
-            found = residuals(read_model(folder), checks, frame.origin, CHECK) if used and holds(frame, checks) else ()
+            told = checks.points and holds(frame, control)
+            found = residuals(read_model(folder), checks, frame.origin, CHECK) if told else ()
             write_json(folder / ACCURACY_FILE, asdict(replace(accuracy, check=found, checked=key)))

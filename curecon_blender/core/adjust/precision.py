@@ -170,7 +170,7 @@ def _shared(bundle: Bundle) -> np.ndarray:
     photos = len(bundle.centres)
     result = np.zeros((POSE * photos + bundle.lenses.size,) * 2)
     told = np.isfinite(bundle.position_sigmas)
-    off = np.where(told, (bundle.centres - bundle.positions) / bundle.position_sigmas, 0.0)
+    off = np.where(told, -bundle.positions_off / bundle.position_sigmas, 0.0)
     kept = _kept(off[told.any(axis=1)])
     for axis in range(3):
         photo = np.flatnonzero(told[:, axis])

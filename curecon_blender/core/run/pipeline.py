@@ -20,6 +20,7 @@ from ..photos.check import check_photos, describe, write_thumbnails
 from ..photos.record import read_photos
 from ..views import record as views_record
 from . import cost
+from .control import import_into
 from .peak_memory import PeakMemory
 from .settings import keep_settings
 from .stages import STAGES, Job, Stage
@@ -59,6 +60,8 @@ def reconstruct(options: Options, reporter: Reporter) -> dict[str, Any]:
                 photos = job.photo_set.photos
                 seconds = cost.reference_seconds(photos, cost.count_pairs(photos), options)
                 reporter.begin({stage.name: seconds[stage.name] for stage in stages})
+                if options.control:
+                    import_into(workspace, options.control, options.control_system, reporter)
         return summarise(job, [stage.name for stage in stages])
 
 

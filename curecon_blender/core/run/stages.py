@@ -17,6 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from ..adjust.adjust import adjust_cameras
+from ..adjust.control import ControlSet, read_control, to_json
+from ..adjust.control_frame import tell_checks
 from ..base.errors import PhotoError, SparseError, SurfaceError, WorkspaceError
 from ..base.files import scratch_folder
 from ..base.messages import Reporter
@@ -134,6 +136,15 @@ def _find_cameras(job: Job) -> None:
 
 
 # ---- adjust: the cameras in the site frame, adjusted with all that is known
+
+
+def _control(job: Job) -> dict[str, Any]:
+    held = read_control(job.root).adjusted_to
+    return {} if held == ControlSet() else {"control": to_json(held)}
+
+
+def _tell_checks(job: Job) -> None:
+    tell_checks(job.root, read_control(job.root))
 
 
 def _adjust(job: Job) -> None:
@@ -268,7 +279,7 @@ STAGES = {stage.name: stage for stage in (
           load=_load_photos, options=("surplus",)),
     Stage(name="sparse", version=6, weight=0.2, files=("sparse/mapped/[0-9]*/*",), run=_find_cameras,
           options=("preset.sfm_image_size", "preset.max_features"), inputs=_model),
-    Stage(name="adjust", version=5, weight=0.02, run=_adjust,
+    Stage(name="adjust", version=6, weight=0.02, run=_adjust, inputs=_control, load=_tell_checks,
           files=("sparse/[0-9]*/*.bin", "sparse/[0-9]*/frame.json", "sparse/[0-9]*/accuracy.json",
                  "sparse/[0-9]*/precision.npz")),
     Stage(name="views", version=2, weight=0.03, files=(views_record.FILE_NAME, "undistorted/*"), run=_prepare_views,

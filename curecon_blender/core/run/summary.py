@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from ..adjust.record import read_accuracy, rms
 from ..base.options import SURFACE_STAGES
 from ..cloud.ply import point_count
 from ..sparse.models import MAPPED
@@ -31,7 +32,7 @@ def summarise(job: Job, stages: Sequence[str]) -> dict[str, Any]:
         "components": [
             {"index": component.index, "photos": len(component.views), "scale": frame.scale, "up": frame.up,
              "gps_residual": frame.gps_residual, "note": frame.note, "doubt": frame.doubt,
-             "points": point_count(root / component.cloud)}
+             "points": point_count(root / component.cloud), "control": _control(root / component.sparse)}
             for component, frame in zip(job.components, frames, strict=True)
         ],
         "points": sum(point_count(path) for path in clouds),
@@ -45,6 +46,14 @@ def summarise(job: Job, stages: Sequence[str]) -> dict[str, Any]:
             "depth": str(root / "depth"), "clouds": [str(path) for path in clouds],
         },
     }
+
+
+def _control(folder: Path) -> dict[str, Any]:
+    """What control points, check points and points left out are off in a component (RMS, metres), each kind apart."""
+    accuracy = read_accuracy(folder)
+    kinds = {"control": accuracy.control, "check": accuracy.check, "left_out": accuracy.left_out}
+    return {kind: {"points": len(found), **dict(zip(("plan", "height"), rms(found), strict=True))}
+            for kind, found in kinds.items() if found}
 
 
 def _surface(root: Path, index: int) -> dict[str, Any]:
