@@ -17,14 +17,16 @@ _PLACES = ("photos", "workspace", "speeds", "scheduler")  # of this computer, no
 
 
 def keep_settings(options: Options) -> None:
-    """Write the options into their workspace (atomically), without the places of this computer. Raises
-    WorkspaceError."""
+    """Write the options into their workspace (atomically), without the places of this computer, where they are others
+    than those that stand there. Raises WorkspaceError."""
     values = ((option.name, getattr(options, option.name)) for option in fields(Options) if option.name not in _PLACES)
-    write_json(options.workspace / FILE_NAME, {name: "" if value is None else str(value) for name, value in values})
+    told = {name: "" if value is None else str(value) for name, value in values}
+    if read_settings(options.workspace) != told:
+        write_json(options.workspace / FILE_NAME, told)
 
 
 def read_settings(workspace: Path) -> dict[str, str]:
-    """What `keep_settings` wrote; nothing for a workspace of before. Raises WorkspaceError when damaged."""
+    """What `keep_settings` wrote; nothing where there is none. Raises WorkspaceError when damaged."""
     path = workspace / FILE_NAME
     try:
         return {str(name): build(str, value, name) for name, value in build(dict, read_json(path, 1 << 16)).items()}
