@@ -60,7 +60,7 @@ def test_the_report_tells_what_the_workspace_holds(
     page = Path(files["html"]).read_text(encoding="utf-8")
     assert all(f"<h2>{word}</h2>" in page for word in WORDS)
     assert "A. Surveyor &lt;a@b&gt;" in page and "<a@b>" not in page  # text from outside stays text
-    assert page.count("<img ") == 3 and "http" not in page.replace("http-equiv", "")
+    assert page.count("<img ") == 4 and "http" not in page.replace("http-equiv", "")
     pdf = Path(files["pdf"]).read_bytes()
     assert pdf.startswith(b"%PDF") and pdf.count(b"/Type /Page\n") >= 2
 

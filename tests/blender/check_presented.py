@@ -18,7 +18,7 @@ import curecon_blender
 from curecon_blender.operators import rendering
 from curecon_blender.panels.present import CURECON_PT_present_elevations, CURECON_PT_present_sun
 from curecon_blender.panels.result import CURECON_PT_result
-from curecon_blender.scene import elevations, render_scene
+from curecon_blender.scene import elevations, lettering, render_scene
 
 FOLDER = Path(sys.argv[1])
 METRIC, UNKNOWN = FOLDER / "metric_curecon", FOLDER / "unknown_curecon"
@@ -56,14 +56,14 @@ def said_by(panel: type[bpy.types.Panel]) -> str:
 
 def on_the_sheets() -> set[str]:
     """Lay the elevations out, with blank paper in place of renders; returns all that is written on them."""
-    scene, texts, letters = bpy.context.scene, set(), elevations.letters
+    scene, texts, letters = bpy.context.scene, set(), lettering.letters
 
     def keep(text: str) -> np.ndarray:
         texts.add(text)
         return letters(text)
 
     copy = render_scene.create(scene)
-    elevations.letters = keep
+    lettering.letters = keep
     try:
         plan = elevations.plan(scene, copy, FOLDER)
         for elevation in plan.elevations:
@@ -72,7 +72,7 @@ def on_the_sheets() -> set[str]:
             blank.save()
         elevations.write_sheets(plan, FOLDER, rendering.title_of(scene), rendering.today())
     finally:
-        elevations.letters = letters
+        lettering.letters = letters
         render_scene.remove(copy)
     return texts
 

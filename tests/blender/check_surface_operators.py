@@ -113,7 +113,7 @@ try:
     said = error_of(bpy.ops.curecon.build_mesh)
     print(said)
     assert len(said.split()) > 6 and not any(word in said for word in ("Traceback", "usage", "unexpectedly"))
-    assert properties.result.faces == 800 and any(name.endswith(" Surface") for name in bpy.data.objects)
+    assert properties.result.faces == 800 and any(item.name.endswith(" Surface") for item in bpy.data.objects)
 finally:
     curecon_blender.unregister()
 print("CHECKED")
