@@ -79,6 +79,8 @@ class DepthEstimator:
         plans = plan_tiles(view, others, hypotheses, self.budget)
         self.left_out = any(None in plan.seen for plan in plans)
         for plan in plans:
+            if len(plans) > 1:
+                release()  # tiles see regions of all sizes: what one leaves lies in pieces that the next cannot use
             tile_depth, tile_confidence = self._tile(view, sources, points, plan, hypotheses, len(plans) == 1)
             tile, kept = plan.tile, kept_part(plan.tile, view)
             place = np.s_[kept.y0 : kept.y1, kept.x0 : kept.x1]
