@@ -21,7 +21,11 @@ def keep_settings(options: Options) -> None:
     than those that stand there. Raises WorkspaceError."""
     values = ((option.name, getattr(options, option.name)) for option in fields(Options) if option.name not in _PLACES)
     told = {name: "" if value is None else str(value) for name, value in values}
-    if read_settings(options.workspace) != told:
+    try:
+        standing = read_settings(options.workspace)
+    except WorkspaceError:  # damaged: these take its place
+        standing = {}
+    if standing != told:
         write_json(options.workspace / FILE_NAME, told)
 
 
