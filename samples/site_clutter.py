@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 from site_mesh import boxes, grid_part, lathe, noise, rod, stones
-from tulou_model import CLOTH, GATE, WOOD, Site
+from tulou_model import CLOTH
+from tulou_plan import GATE, WOOD, Site
 from tulou_surroundings import on_ground, place, terrain
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 from site_mesh import MeshBuilder, Part, grid_part, joined, noise, painted, rod
-from tulou_model import Site
+from tulou_plan import Site
 from tulou_surroundings import (
     HOUSES,
     PATHS,

@@ -7,11 +7,8 @@ from east. Parts go into `site`, one MeshBuilder per material name.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from site_mesh import (
-    MeshBuilder,
     Opening,
     Part,
     boxes,
@@ -19,40 +16,24 @@ from site_mesh import (
     lathe,
     noise,
     painted,
-    ridge,
     rod,
     stones,
-    tiled_slope,
     wall,
 )
-
-Site = dict[str, MeshBuilder]
-
-GATE = np.radians(-68.0)
-SIDE_GATES = (np.radians(28.0), np.radians(171.0))
-OUTER_RADIUS = 22.0
-BATTER = 0.055
-WALL_HEIGHT = 10.0
-BASE_HEIGHT = 1.3
-COLLAPSED = (np.radians(128.0), np.radians(164.0))
-WOOD = np.array([0.5, 0.0, 0.0, 1.0])
-
-
-def polar(theta: np.ndarray, radius: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Cylindrical to site coordinates (..., 3)."""
-    theta, radius, z = np.broadcast_arrays(theta, radius, z)
-    return np.stack([radius * np.cos(theta), radius * np.sin(theta), z], -1).astype(float)
-
-
-def arc(start: float, end: float, radius: float, z: float, step: float) -> np.ndarray:
-    """Points (N, 3) along an arc about every `step` metres."""
-    count = max(3, int(abs(end - start) * radius / step))
-    return polar(np.linspace(start, end, count), radius, z)
-
-
-def turned(angle: float) -> float:
-    """An angle relative to the seam of the outer wall (opposite the gate), in [0, 2 pi)."""
-    return float((angle - GATE - np.pi) % (2 * np.pi))
+from tulou_plan import (
+    BASE_HEIGHT,
+    BATTER,
+    COLLAPSED,
+    GATE,
+    OUTER_RADIUS,
+    SIDE_GATES,
+    WALL_HEIGHT,
+    WOOD,
+    Site,
+    polar,
+    turned,
+)
+from tulou_roof import RingRoof, outer_roof
 
 
 def _earth_paint(points: np.ndarray) -> np.ndarray:
@@ -169,90 +150,6 @@ def _gates(site: Site) -> None:
         site["goods"].add(lathe(np.array(profile), lantern, np.array([0.55, 0.035, 0.02, 1])))
         arm = np.array([polar(GATE, OUTER_RADIUS - 0.3, 4.1) + side * tangent * 1.9, lantern + [0, 0, 0.45]])
         site["wood"].add(rod(arm, 0.035, WOOD))
-
-
-@dataclass(frozen=True, kw_only=True)
-class RingRoof:
-    """A ring's two slopes over an arc: radii and heights of ridge and eaves, metres and radians."""
-
-    start: float
-    end: float
-    ridge_radius: float
-    ridge_z: float
-    outer_radius: float
-    outer_z: float
-    inner_radius: float
-    inner_z: float
-    seed: int
-    sag: float = 0.13
-
-    def surface(self, eave_radius: float, eave_z: float):
-        """The slope from an eave to the ridge, slightly hollow and uneven."""
-
-        def point(s: np.ndarray, t: np.ndarray) -> np.ndarray:
-            theta = self.start + (self.end - self.start) * s
-            radius = eave_radius + (self.ridge_radius - eave_radius) * t
-            z = eave_z + (self.ridge_z - eave_z) * (0.82 * t + 0.18 * t * t)
-            flat = polar(theta, radius, 0 * radius)
-            return polar(theta, radius, z + self.sag * noise(flat, 5.0, self.seed, 3))
-
-        return point
-
-    def add(self, site: Site, repaired_out: list, repaired_in: list) -> None:
-        angle = self.end - self.start
-        for eave, z, repaired, moss, seed in (
-            (self.outer_radius, self.outer_z, repaired_out, 0.42, 1),
-            (self.inner_radius, self.inner_z, repaired_in, 0.55, 2),
-        ):
-            run = float(np.hypot(eave - self.ridge_radius, self.ridge_z - z))
-            tiles, under = tiled_slope(
-                self.surface(eave, z),
-                angle * (eave + self.ridge_radius) / 2,
-                run,
-                self.seed * 10 + seed,
-                repaired=repaired,
-                moss=moss,
-            )
-            site["tile"].add(tiles)
-            site["wood"].add(under)
-        s = np.linspace(0, 1, int(angle * self.ridge_radius / 0.3))
-        line = self.surface(self.outer_radius, self.outer_z)(s, np.ones_like(s))
-        site["tile"].add(ridge(line, 0.5, 0.42, self.seed))
-
-    def radial_ridge(self, site: Site, s: float) -> None:
-        """A raised line of brick down both slopes, as where two households' roofs meet."""
-        t = np.linspace(0.02, 1, 24)
-        for eave, z in ((self.outer_radius, self.outer_z), (self.inner_radius, self.inner_z)):
-            site["tile"].add(ridge(self.surface(eave, z)(np.full_like(t, s), t), 0.34, 0.22, self.seed + 5))
-
-
-def _outer_roof(site: Site) -> None:
-    roof = RingRoof(
-        start=GATE + np.pi,
-        end=GATE + 3 * np.pi,
-        ridge_radius=18.4,
-        ridge_z=12.2,
-        outer_radius=23.9,
-        outer_z=9.75,
-        inner_radius=14.3,
-        inner_z=9.55,
-        seed=41,
-    )
-    roof.add(
-        site,
-        [(0.06, 0, 0.13, 1), (0.33, 0.45, 0.37, 1), (0.655, 0, 0.70, 0.55), (0.9, 0.2, 0.93, 0.8)],
-        [(0.2, 0, 0.245, 1), (0.52, 0.3, 0.56, 1), (0.8, 0, 0.86, 0.6)],
-    )
-    for s in (0.0005, 0.13, 0.245, 0.41, 0.587, 0.7, 0.885):
-        roof.radial_ridge(site, s)
-    tarpaulin = roof.surface(23.9, 9.75)
-    s, t = np.meshgrid(np.linspace(0.765, 0.795, 40), np.linspace(0.25, 0.85, 50))
-    cloth = tarpaulin(s, t)
-    cloth[..., 2] += 0.14 + 0.04 * noise(cloth, 0.8, 43)
-    stripe = (np.floor(s * 550) % 3 == 0)[..., None]
-    site["goods"].add(grid_part(cloth, np.where(stripe, [0.55, 0.55, 0.55, 1], [0.06, 0.15, 0.38, 1])))
-    weights = tarpaulin(np.array([0.767, 0.78, 0.793, 0.77, 0.79]), np.array([0.3, 0.28, 0.3, 0.8, 0.82]))
-    site["stone"].add(boxes(weights + [0, 0, 0.25], (0.4, 0.3, 0.22), np.arange(5.0), np.array([0.6, 0, 0.2, 1])))
 
 
 def _galleries(site: Site, rng: np.random.Generator) -> None:
@@ -474,7 +371,7 @@ def build_tulou(site: Site, rng: np.random.Generator) -> None:
     """Add the whole building (without the ancestral hall, which is a house: see tulou_surroundings.py)."""
     _outer_wall(site, rng)
     _gates(site)
-    _outer_roof(site)
+    outer_roof(site)
     _galleries(site, rng)
     _inner_ring(site, rng)
     _courtyard(site, rng)

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from site_mesh import Opening, boxes, grid_part, noise, ridge, stones, tiled_slope, wall
-from tulou_model import GATE, WOOD, Site, polar, wall_paint
+from tulou_model import wall_paint
+from tulou_plan import GATE, WOOD, Site, polar
 
 POND_CENTRE, POND_RADIUS, POND_LEVEL = np.array([-17.0, -38.5]), 8.5, -0.75
 
