@@ -18,8 +18,8 @@ def register() -> None:
     properties.attach()
     operators.add_menus()
     viewport.start()
-    overlay.start()
-    control_overlay.start()
+    overlay.drawing.start()
+    control_overlay.drawing.start()
     history.start()
 
 
@@ -34,8 +34,8 @@ def unregister() -> None:
     thumbnails.clear()
     history.stop()
     loupe.forget()
-    control_overlay.stop()
-    overlay.stop()
+    control_overlay.drawing.stop()
+    overlay.drawing.stop()
     viewport.stop()
     operators.remove_menus()
     properties.detach()

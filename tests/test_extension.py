@@ -57,6 +57,13 @@ def run_script(python: Path, script: str, *arguments: Path, resources: Path) -> 
     assert ran.returncode == 0 and "CHECKED" in ran.stdout, f"{ran.stdout}\n{ran.stderr}"
 
 
+def run_alone(python: Path, script: str, folder: Path) -> None:
+    """Run one of tests/blender that works in a folder of its own, with Blender's settings of its own."""
+    work = folder / "work"
+    work.mkdir()
+    run_script(python, script, work, resources=folder / "user")
+
+
 @pytest.fixture(scope="session")
 def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The built and validated extension."""
@@ -73,27 +80,19 @@ def test_every_class_is_registered_twice_over(blender: Path, tmp_path: Path) -> 
 
 
 def test_an_imported_workspace_is_right_and_survives_saving(blender: Path, tmp_path: Path) -> None:
-    work = tmp_path / "work"
-    work.mkdir()
-    run_script(blender, "check_import.py", work, resources=tmp_path / "user")
+    run_alone(blender, "check_import.py", tmp_path)
 
 
 def test_a_stopped_import_leaves_nothing_and_an_undo_in_its_midst_ends_well(blender: Path, tmp_path: Path) -> None:
-    work = tmp_path / "work"
-    work.mkdir()
-    run_script(blender, "check_steps.py", work, resources=tmp_path / "user")
+    run_alone(blender, "check_steps.py", tmp_path)
 
 
 def test_the_menus_offer_it_and_what_they_export_is_in_metres(blender: Path, tmp_path: Path) -> None:
-    work = tmp_path / "work"
-    work.mkdir()
-    run_script(blender, "check_menus.py", work, resources=tmp_path / "user")
+    run_alone(blender, "check_menus.py", tmp_path)
 
 
 def test_bad_input_is_an_error_in_words(blender: Path, tmp_path: Path) -> None:
-    work = tmp_path / "work"
-    work.mkdir()
-    run_script(blender, "check_errors.py", work, resources=tmp_path / "user")
+    run_alone(blender, "check_errors.py", tmp_path)
 
 
 @pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="this Python has no torch for the worker")

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from test_extension import _blender52, blender, run_script  # noqa: F401
+from test_extension import _blender52, blender, run_alone, run_script  # noqa: F401
 
 from curecon_blender.core.base.errors import WorkspaceError
 from curecon_blender.core.base.records import GeoPosition
@@ -74,17 +74,13 @@ def found_colours(meshes: list[trimesh.Trimesh]) -> np.ndarray:
 
 
 def test_a_surface_comes_in_with_all_that_is_known_of_it(blender: Path, tmp_path: Path) -> None:  # noqa: F811
-    work = tmp_path / "work"
-    work.mkdir()
-    run_script(blender, "check_surface.py", work, resources=tmp_path / "user")
+    run_alone(blender, "check_surface.py", tmp_path)
 
 
 def test_the_operators_say_why_not_and_what_they_tell_the_worker(
     blender: Path, tmp_path: Path  # noqa: F811
 ) -> None:
-    work = tmp_path / "work"
-    work.mkdir()
-    run_script(blender, "check_surface_operators.py", work, resources=tmp_path / "user")
+    run_alone(blender, "check_surface_operators.py", tmp_path)
 
 
 @pytest.mark.parametrize("name", ["textured", "jpeg", "webp", "packed", "pages"])

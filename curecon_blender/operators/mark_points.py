@@ -18,7 +18,7 @@ from bpy.props import FloatVectorProperty, IntProperty, StringProperty
 from ..core.base.errors import CuReconError
 from ..scene import cameras, control, control_overlay, loupe, picking, viewport
 from . import running
-from .picking import NAVIGATION
+from .picking import NAVIGATION, over_view
 
 STEPS = {"N": 1, "RIGHT_ARROW": 1, "PAGE_DOWN": 1, "P": -1, "LEFT_ARROW": -1, "PAGE_UP": -1}
 OPACITY = 1.0  # of the photo while one marks: what lies beneath it would only blur it
@@ -135,7 +135,7 @@ class CURECON_OT_mark_points(bpy.types.Operator):
         if event.type in {"ESC", "RET", "RIGHTMOUSE"} and event.value == "PRESS":
             self._stop(context)
             return {"FINISHED"}
-        if not self._inside(event) or not control.active(context.scene):
+        if not over_view(self._area, self._region, event) or not control.active(context.scene):
             return {"PASS_THROUGH"}
         if event.type == "MOUSEMOVE":
             control_overlay.mouse = self._mouse(event)
@@ -218,16 +218,6 @@ class CURECON_OT_mark_points(bpy.types.Operator):
 
     def _mouse(self, event: bpy.types.Event) -> tuple[float, float]:
         return event.mouse_x - self._region.x, event.mouse_y - self._region.y
-
-    def _inside(self, event: bpy.types.Event) -> bool:
-        """Over the view itself, not over a sidebar or a header that lies upon it."""
-        def holds(region: bpy.types.Region) -> bool:
-            return (region.x <= event.mouse_x < region.x + region.width
-                    and region.y <= event.mouse_y < region.y + region.height)
-
-        return holds(self._region) and not any(
-            holds(region) for region in self._area.regions if region.type != "WINDOW" and region.width > 1
-        )
 
     def _stop(self, context: bpy.types.Context) -> None:
         control_overlay.mouse, control_overlay.marking = None, 0

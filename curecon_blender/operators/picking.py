@@ -29,6 +29,17 @@ def place_property(which: str) -> object:
     )
 
 
+def over_view(area: bpy.types.Area, view: bpy.types.Region, event: bpy.types.Event) -> bool:
+    """Whether the mouse is over the view itself, not over a sidebar or a header that lies upon it."""
+    def holds(region: bpy.types.Region) -> bool:
+        return (region.x <= event.mouse_x < region.x + region.width
+                and region.y <= event.mouse_y < region.y + region.height)
+
+    return holds(view) and not any(
+        holds(region) for region in area.regions if region.type != "WINDOW" and region.width > 1
+    )
+
+
 class PickingOperator:
     """Mixin: lets the user pick the places that are named in `places`, in order, then runs `execute`.
 
@@ -77,7 +88,7 @@ class PickingOperator:
                 overlay.picked.pop()
             self._say(context)
             return {"RUNNING_MODAL"}
-        if event.type in NAVIGATION or not self._inside(event):
+        if event.type in NAVIGATION or not over_view(self._area, self._region, event):
             return {"PASS_THROUGH"}
         if event.type == "MOUSEMOVE":
             overlay.hover = self._under(context, event)
@@ -125,16 +136,6 @@ class PickingOperator:
     def _under(self, context: bpy.types.Context, event: bpy.types.Event) -> np.ndarray | None:
         mouse = event.mouse_x - self._region.x, event.mouse_y - self._region.y
         return picking.under(context, self._region, self._area.spaces.active.region_3d, mouse)
-
-    def _inside(self, event: bpy.types.Event) -> bool:
-        """Over the view itself, not over a sidebar or a header that lies upon it."""
-        def holds(region: bpy.types.Region) -> bool:
-            return (region.x <= event.mouse_x < region.x + region.width
-                    and region.y <= event.mouse_y < region.y + region.height)
-
-        return holds(self._region) and not any(
-            holds(region) for region in self._area.regions if region.type != "WINDOW" and region.width > 1
-        )
 
     def _say(self, context: bpy.types.Context) -> None:
         count = len(overlay.picked)

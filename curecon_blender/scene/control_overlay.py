@@ -5,7 +5,6 @@ expected, and the loupe while one marks."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from itertools import pairwise
 from math import cos, pi, sin
 
@@ -16,6 +15,7 @@ from mathutils import Vector
 
 from ..core.adjust.control import CHECK, CONTROL
 from . import cameras, control, loupe
+from .drawing import Drawing
 from .overlay import crosses, label, lines, on_screen
 
 COLOURS = {CONTROL: (0.2, 1.0, 0.35, 1.0), CHECK: (1.0, 0.6, 0.1, 1.0)}
@@ -24,21 +24,6 @@ RING_PIXELS = 14.0
 
 mouse: tuple[float, float] | None = None  # of the region in which somebody marks; None where nobody does
 marking: int = 0  # that region's area, as a pointer
-_remove_handler: Callable[[], None] | None = None
-
-
-def start() -> None:
-    """Begin to draw in every 3D viewport."""
-    global _remove_handler
-    handler = bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_PIXEL")
-    _remove_handler = lambda: bpy.types.SpaceView3D.draw_handler_remove(handler, "WINDOW")  # noqa: E731
-
-
-def stop() -> None:
-    global _remove_handler
-    if _remove_handler is not None:
-        _remove_handler()
-        _remove_handler = None
 
 
 def colour_of(role: str) -> tuple[float, float, float, float]:
@@ -101,3 +86,6 @@ def _ring(context: bpy.types.Context, middle: Vector, colour: tuple[float, ...])
     radius = RING_PIXELS * context.preferences.system.ui_scale
     around = [middle + radius * Vector((cos(2 * pi * step / 24), sin(2 * pi * step / 24))) for step in range(25)]
     lines(context, [end for pair in pairwise(around) for end in pair], colour)
+
+
+drawing = Drawing(_draw, "POST_PIXEL")

@@ -13,7 +13,7 @@ import bpy
 import numpy as np
 from bpy.app.translations import pgettext_n as n_
 
-from ..core.adjust.record import ACCURACY_FILE, read_accuracy, rms
+from ..core.adjust.record import read_accuracy, rms
 from ..core.present import sheet, sheet_files
 from ..core.present.sheet import Drawing
 from ..core.site.measuring import SHOWN
@@ -102,7 +102,7 @@ def notes(scene: bpy.types.Scene, times: dict[str, datetime]) -> str:
 
 def _exactness(part: Part) -> str:
     """By check points where there are any, else by what the scale rests on."""
-    if (part.folder / ACCURACY_FILE).is_file() and (check := read_accuracy(part.folder).check):
+    if (accuracy := read_accuracy(part.folder)) is not None and (check := accuracy.check):
         plan, height = (1000 * off for off in rms(check))
         points = "1 check point" if len(check) == 1 else f"{len(check)} check points"
         return f"{points}: {plan:.0f} mm in plan and {height:.0f} mm in height (rms)"

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 
 import blf
@@ -16,6 +16,7 @@ from gpu_extras.batch import batch_for_shader
 from mathutils import Vector
 
 from . import cameras, measurements
+from .drawing import Drawing
 
 LINE = (1.0, 0.85, 0.2, 1.0)  # measured
 PICK = (0.2, 0.9, 1.0, 1.0)  # being picked
@@ -25,21 +26,6 @@ TEXT_POINTS = 12.0
 
 picked: list[np.ndarray] = []  # places (3,) in the world that the running operator has so far
 hover: np.ndarray | None = None  # and the one under the mouse
-_remove_handler: Callable[[], None] | None = None
-
-
-def start() -> None:
-    """Begin to draw in every 3D viewport."""
-    global _remove_handler
-    handler = bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_PIXEL")
-    _remove_handler = lambda: bpy.types.SpaceView3D.draw_handler_remove(handler, "WINDOW")  # noqa: E731
-
-
-def stop() -> None:
-    global _remove_handler
-    if _remove_handler is not None:
-        _remove_handler()
-        _remove_handler = None
 
 
 def _draw() -> None:
@@ -103,3 +89,6 @@ def label(context: bpy.types.Context, place: Vector, text: str, colour: tuple[fl
     blf.position(0, x, y, 0)
     blf.color(0, *colour)
     blf.draw(0, text)
+
+
+drawing = Drawing(_draw, "POST_PIXEL")

@@ -11,7 +11,7 @@ they come back by themselves after a file is loaded, an undo or a reload of the 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import bpy
 import gpu
@@ -21,6 +21,7 @@ from gpu_extras.batch import batch_for_shader
 from mathutils import Euler, Matrix, Vector
 
 from . import cameras, display
+from .drawing import Drawing
 from .points import CLOUD_KEY, COLOUR, PRECISION, Bounds
 from .workspace import clouds_of
 
@@ -92,23 +93,18 @@ FRAGMENT_SOURCE = "void main() { fragment = shown; }"
 _shader: gpu.types.GPUShader | None = None
 _uploads: dict[tuple[object, ...], _Upload] = {}  # by _upload_key
 _last_views: dict[int, tuple[float, ...]] = {}  # by region: where it looked from when it was last drawn
-_remove_handler: Callable[[], None] | None = None
 
 
 def start() -> None:
     """Begin to draw in every 3D viewport."""
-    global _remove_handler
-    handler = bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_VIEW")
-    _remove_handler = lambda: bpy.types.SpaceView3D.draw_handler_remove(handler, "WINDOW")  # noqa: E731
+    _drawing.start()
     bpy.app.handlers.load_pre.append(_forget)
 
 
 def stop() -> None:
     """Stop drawing and free the graphics memory."""
-    global _remove_handler, _shader
-    if _remove_handler is not None:
-        _remove_handler()
-        _remove_handler = None
+    global _shader
+    _drawing.stop()
     bpy.app.handlers.load_pre.remove(_forget)
     _forget()
     for timer in (_draw_the_rest, _let_nodes_show):
@@ -397,3 +393,6 @@ def _batch(piece: dict[str, np.ndarray]) -> gpu.types.GPUBatch:
     vertices.attr_fill("quality", quality)
     vertices.attr_fill("normal", normals)
     return gpu.types.GPUBatch(type="POINTS", buf=vertices)
+
+
+_drawing = Drawing(_draw, "POST_VIEW")

@@ -16,7 +16,7 @@ import numpy as np
 from mathutils import Vector
 
 from ..core.adjust.control import ControlSet, read_control
-from ..core.adjust.record import ACCURACY_FILE, Accuracy, read_accuracy
+from ..core.adjust.record import Accuracy, read_accuracy
 from ..core.base.records import Component
 from ..core.cloud.edits import is_stale, read_removed
 from ..core.cloud.ply import read_cloud
@@ -107,7 +107,7 @@ def read(folder: Path) -> Content:
             cloud=points.arrays(cloud) if cloud is not None else None,
             removed=removed[points.file_order(len(removed))] if removed is not None else None,
             surface=surface.arrays(*found) if found is not None else None,
-            accuracy=_accuracy(folder / component.sparse),
+            accuracy=read_accuracy(folder / component.sparse),
         ))
     bounds, about = _bounds(parts)
     return Content(
@@ -116,11 +116,6 @@ def read(folder: Path) -> Content:
         stale_edits=any(is_stale(folder / part.component.cloud) for part in parts), bounds=bounds, about=about,
         ground=next((backdrop.ground_colour(part.cloud) for part in parts if part.cloud is not None), backdrop.GREY),
     )
-
-
-def _accuracy(folder: Path) -> Accuracy | None:
-    """What a component's cameras rest on; None in a workspace from before it was told. Raises WorkspaceError."""
-    return read_accuracy(folder) if (folder / ACCURACY_FILE).is_file() else None
 
 
 def build(

@@ -14,6 +14,7 @@ import numpy as np
 import surface_scene
 import workspace_scene
 from mathutils import Vector
+from pictures import pixels_of
 
 import curecon_blender
 from curecon_blender.operators import rendering
@@ -30,15 +31,6 @@ def load() -> bpy.types.Scene:
     present = scene.curecon.present
     present.folder, present.sheet_scale, present.seconds, scene.render.fps = str(OUT), str(SCALE), 1.0, 4
     return scene
-
-
-def pixels_of(file: Path) -> np.ndarray:
-    image = bpy.data.images.load(str(file))
-    values = np.empty(image.size[0] * image.size[1] * 4, np.float32)
-    image.pixels.foreach_get(values)
-    values = values.reshape(image.size[1], image.size[0], 4)[..., :3]
-    bpy.data.images.remove(image)
-    return values
 
 
 def assert_the_roof_is_right(name: str) -> None:

@@ -16,6 +16,7 @@ import bpy
 import numpy as np
 import surface_scene
 import workspace_scene
+from pictures import pixels_of
 
 import curecon_blender
 from curecon_blender.core.adjust import record
@@ -24,16 +25,6 @@ from curecon_blender.operators import rendering
 from curecon_blender.scene import elevations
 
 FOLDER, OUT = Path(sys.argv[1]), Path(sys.argv[1]) / "out"
-
-
-def pixels_of(path: Path) -> np.ndarray:
-    """A picture as (H,W,3) in [0, 1], bottom row first."""
-    image = bpy.data.images.load(str(path))
-    values = np.empty(image.size[0] * image.size[1] * 4, np.float32)
-    image.pixels.foreach_get(values)
-    values = values.reshape(image.size[1], image.size[0], 4)[..., :3]
-    bpy.data.images.remove(image)
-    return values
 
 
 def coloured(pixels: np.ndarray) -> np.ndarray:

@@ -269,7 +269,7 @@ def tell_checks(workspace: Path, control: ControlSet) -> None:
     key = hashlib.sha256(to_json(checks).encode()).hexdigest()[:20] if checks.points else ""
     for folder in find_models(workspace / ADJUSTED):
         accuracy = read_accuracy(folder)
-        if accuracy.checked != key:
+        if accuracy is not None and accuracy.checked != key:
             frame = read_frame(folder)
             told = checks.points and holds(frame, control)
             found = residuals(read_model(folder), checks, frame.origin, CHECK) if told else ()

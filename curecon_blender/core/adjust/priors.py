@@ -75,7 +75,8 @@ def gps_positions(photos: Sequence[Photo], origin: GeoPosition | None) -> tuple[
     for n, photo in enumerate(photos):
         if photo.gps is not None:
             altitude = photo.gps.altitude
-            place = np.array([[photo.gps.latitude, photo.gps.longitude, altitude or origin.altitude or 0.0]])
+            height_known = origin.altitude or 0.0 if altitude is None else altitude
+            place = np.array([[photo.gps.latitude, photo.gps.longitude, height_known]])
             positions[n] = geodetic_to_enu(place, origin)[0]
             plan, height = photo.gps_sigmas or _GPS_SIGMAS
             sigmas[n] = plan, plan, height if altitude is not None else np.inf

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from ..base.errors import WorkspaceError
-from ..base.reading import FARTHEST, FILE_NAME, Within, build, read_json
+from ..base.files import read_record
+from ..base.reading import FARTHEST, FILE_NAME, Within
 
 ACCURACY_FILE = "accuracy.json"
 _Number = Annotated[float, Within(-FARTHEST, FARTHEST)]
@@ -90,13 +90,8 @@ def rms(found: Sequence[PointResidual]) -> tuple[float, float]:
     return math.sqrt(plan), math.sqrt(sum(one.off[2] ** 2 for one in found) / len(found))
 
 
-def read_accuracy(folder: Path) -> Accuracy:
-    """The record in a component's folder. Raises WorkspaceError when missing or damaged."""
+def read_accuracy(folder: Path) -> Accuracy | None:
+    """The record in a component's folder; None where there is none, as in a workspace of before. Raises WorkspaceError
+    when it is damaged."""
     path = folder / ACCURACY_FILE
-    try:
-        accuracy: Accuracy = build(Accuracy, read_json(path))
-        return accuracy
-    except (OSError, ValueError) as error:
-        raise WorkspaceError(
-            f"{path} is missing or damaged ({error}).", remedy="Run Reconstruct again in this workspace.", path=path
-        ) from error
+    return read_record(Accuracy, path) if path.is_file() else None

@@ -12,9 +12,12 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TypeVar
 
 from .errors import WorkspaceError
+from .reading import build, read_json
+
+Record = TypeVar("Record")
 
 # Folders that a job makes in its workspace, and the one for renders: the user's photos may lie beside them.
 JOB_FOLDERS = re.compile(r"sparse|undistorted|depth|stages|textured(_\d+)?|\..*")
@@ -97,6 +100,17 @@ def scratch_folder(place: Path) -> Iterator[Path]:
         yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def read_record(kind: type[Record], path: Path) -> Record:
+    """A dataclass that a stage has left as JSON. Raises WorkspaceError when it is missing or damaged."""
+    try:
+        record: Record = build(kind, read_json(path))
+        return record
+    except (OSError, ValueError) as error:
+        raise WorkspaceError(
+            f"{path} is missing or damaged ({error}).", remedy="Run Reconstruct again in this workspace.", path=path
+        ) from error
 
 
 def write_json(path: Path, value: Any) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from PIL import Image
 
 from ..adjust.precision_record import Precision, read_precision
-from ..adjust.record import ACCURACY_FILE, Accuracy, PhotoResidual, PointResidual, read_accuracy
+from ..adjust.record import Accuracy, PhotoResidual, PointResidual, read_accuracy
 from ..base.records import Component, Photo
 from ..cloud.edits import read_removed
 from ..cloud.ply import Cloud, read_cloud
@@ -228,7 +228,7 @@ def kinds_of_surface(cloud: Cloud) -> dict[str, np.ndarray]:
 
 def _correctness(component: Component, cloud: Cloud, pixel: Spread, sparse: Path) -> Correctness:
     frame, precision = component.frame, read_precision(sparse)
-    accuracy = read_accuracy(sparse) if (sparse / ACCURACY_FILE).exists() else None
+    accuracy = read_accuracy(sparse)
     told = accuracy or Accuracy(adjusted=False, reprojection_error=0.0)
     supports: dict[str, int | None] = {}
     for kind, which in kinds_of_surface(cloud).items():

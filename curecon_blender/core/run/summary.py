@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ..adjust.record import ACCURACY_FILE, read_accuracy, rms
+from ..adjust.record import read_accuracy, rms
 from ..base.options import SURFACE_STAGES
 from ..cloud.ply import point_count
 from ..sparse.models import MAPPED
@@ -50,9 +50,9 @@ def summarise(job: Job, stages: Sequence[str]) -> dict[str, Any]:
 
 def _control(folder: Path) -> dict[str, Any]:
     """What control points, check points and points left out are off in a component (RMS, metres), each kind apart."""
-    if not (folder / ACCURACY_FILE).is_file():  # a workspace of before
-        return {}
     accuracy = read_accuracy(folder)
+    if accuracy is None:
+        return {}
     kinds = {"control": accuracy.control, "check": accuracy.check, "left_out": accuracy.left_out}
     return {kind: {"points": len(found), **dict(zip(("plan", "height"), rms(found), strict=True))}
             for kind, found in kinds.items() if found}
