@@ -65,6 +65,23 @@ def test_the_report_tells_what_the_workspace_holds(
     assert pdf.startswith(b"%PDF") and pdf.count(b"/Type /Page\n") >= 2
 
 
+def test_doubtful_heights_are_told_beside_the_scale_of_drawings(
+    finished: tuple[Path, Run], tmp_path: Path
+) -> None:
+    workspace = tmp_path / "w"
+    shutil.copytree(finished[0], workspace)
+    record = json.loads((workspace / "views.json").read_text(encoding="utf-8"))
+    assert curecon("report", workspace).code == 0
+    told = json.loads((workspace / "report" / "report.json").read_text(encoding="utf-8"))
+    assert "doubtful" not in told["sentences"]["Accuracy"]
+    record["components"][0]["frame"]["doubt"] = "Heights are doubtful: the model is bent."
+    (workspace / "views.json").write_text(json.dumps(record), encoding="utf-8")
+    assert curecon("report", workspace).code == 0
+    told = json.loads((workspace / "report" / "report.json").read_text(encoding="utf-8"))
+    assert told["sentences"]["Accuracy"].startswith("Heights are doubtful")
+    assert "the model is bent" in (workspace / "report" / "report.html").read_text(encoding="utf-8")
+
+
 def test_a_photo_that_is_gone_is_told_and_ends_no_report(finished: tuple[Path, Run], tmp_path: Path) -> None:
     workspace = tmp_path / "w"
     shutil.copytree(finished[0], workspace)

@@ -75,6 +75,7 @@ class Correctness:
     (its denominator) of a drawing that the figures carry; None where none does or nothing is known."""
 
     rests_on: str
+    doubt: str
     metres: bool
     adjusted: bool
     reprojection_error: float | None
@@ -236,7 +237,7 @@ def _correctness(component: Component, cloud: Cloud, pixel: Spread, sparse: Path
         known = frame.scale == "metres" and sigma > 0
         supports[kind] = supported_scale(sigma, pixel.median) if known else None
     return Correctness(
-        rests_on=frame.note, metres=frame.scale == "metres", adjusted=told.adjusted,
+        rests_on=frame.note, doubt=frame.doubt, metres=frame.scale == "metres", adjusted=told.adjusted,
         reprojection_error=None if accuracy is None else accuracy.reprojection_error, gps=_residuals(told.gps),
         control=_residuals(told.control), check=_residuals(told.check), left_out=_residuals(told.left_out),
         sigmas=_sigmas(cloud, precision), supports=supports,

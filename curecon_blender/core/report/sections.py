@@ -94,6 +94,8 @@ def _accuracy(part: Part, pictures: tuple[tuple[str, Image.Image], ...]) -> Sect
             ("Cameras", "adjusted with all that is known" if correct.adjusted else "as found or as given"),
             ("Reprojection error, mean",
              "not known" if correct.reprojection_error is None else f"{correct.reprojection_error:.2f} pixels")]
+    if correct.doubt:
+        rows.append(("Heights", correct.doubt))
     rows += _residual_rows("GPS of the photos", correct.gps)
     rows += _residual_rows("Control points, which the adjustment used", correct.control)
     rows += _residual_rows("Control points, each left out in turn", correct.left_out)
@@ -111,6 +113,8 @@ def _supported(correct: Correctness) -> str:
     if not known:
         return "How precise the points are is not known, so no scale of a drawing can be named."
     said = [f"1:{scale} of {kind}" for kind, scale in known.items()]
+    if correct.doubt:
+        return f"Heights are doubtful. If they are true, drawings are supported up to {_listed(said)}."
     return f"Drawings are supported up to {_listed(said)}."
 
 
