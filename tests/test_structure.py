@@ -18,8 +18,8 @@ PACKAGE = "curecon_blender"
 FLOW = ("base", "photos", "sparse", "adjust", "views", "network", "depth", "cloud", "surface", "texture",
         "report")
 MAY_IMPORT = {room: FLOW[: place + 1] for place, room in enumerate(FLOW)}
-MAY_IMPORT |= {room: ("base", room) for room in ("site", "present")}
-MAY_IMPORT |= {"run": (*FLOW, "site", "run")}
+MAY_IMPORT |= {room: ("base", room) for room in ("site", "present", "plan")}
+MAY_IMPORT |= {"run": (*FLOW, "site", "plan", "run")}
 MOST_LINES, MOST_FUNCTION_LINES = 400, 60
 # In Blender's own process there are Blender's Python and NumPy; these are the worker's.
 WORKER_ONLY = ("torch", "cv2", "pycolmap", "scipy", "PIL", "psutil", "numba", "xatlas", "safetensors", "distributed",

@@ -98,6 +98,13 @@ class ControlError(CuReconError):
     kind = "control"
 
 
+class PlanError(CuReconError):
+    """No flight can be planned: an outline that is no area, a ceiling without room, a battery that does not reach."""
+
+    exit_code = 14
+    kind = "plan"
+
+
 # The many ways in which libraries say that memory could not be had; "primitive" is oneDNN's, whose code needs some too.
 NO_MEMORY = re.compile(
     r"out of memory|allocate memory|failed to allocate|insufficient memory|not enough memory|bad_alloc"

@@ -14,6 +14,7 @@ from ..base.options import (
     CHECK,
     CONTROL,
     DICTIONARIES,
+    PLAN,
     REPORT,
     RUN,
     SELF_CHECK,
@@ -24,6 +25,9 @@ from ..base.options import (
     Options,
     declared,
 )
+from ..plan.drones import DRONES
+from ..plan.mission import KINDS
+from ..plan.records import Wishes
 
 EXIT_CODES = """exit codes:
   0  done                     5  workspace: read-only, full, in use, newer
@@ -33,6 +37,7 @@ EXIT_CODES = """exit codes:
   4  cameras not found        9  a library is missing from this Python
  10  no mesh or no texture can be made     11  out of memory
  12  control points unusable
+ 14  no flight can be planned
 130  cancelled
 """
 
@@ -79,8 +84,57 @@ def parser() -> argparse.ArgumentParser:
     report = command(REPORT, "clearness, accuracy, integrity and authenticity of a workspace, as PDF, HTML and JSON")
     report.add_argument("workspace", type=Path)
     report.add_argument("--by", default="", help="who made the record")
+    _plan(command(PLAN, "a flight for a building, before there are photos: page, DJI and Litchi missions, KML, GPX"))
     command(SELF_CHECK, "reconstruct synthetic views, and say what this computer has")
     return main
+
+
+def _plan(plan: argparse.ArgumentParser) -> None:
+    """The arguments of the flight planner, whose record is plan.records.Wishes."""
+    plan.add_argument("folder", type=Path, help="where the plan's files are written")
+    plan.add_argument("--kind", choices=sorted(KINDS), default="building", help="of building, or the form to fly")
+    plan.add_argument("--drone", choices=sorted(DRONES), default="mini4pro", help="which drone flies")
+    where = plan.add_mutually_exclusive_group(required=True)
+    where.add_argument("--outline", type=Path, metavar="FILE",
+                       help="polygon drawn on a map, GeoJSON or KML; its hole is the court")
+    where.add_argument("--size", type=_metres, nargs=2, metavar=("WIDTH", "DEPTH"), help="of a rectangular building")
+    where.add_argument("--ring", type=_metres, nargs=2, metavar=("OUTER", "INNER"), help="diameters of a ring")
+    where.add_argument("--workspace", type=Path, help="plan for the cloud of this workspace")
+    plan.add_argument("--turn", type=float, default=0.0, help="heading of the depth, degrees clockwise from north")
+    plan.add_argument("--position", type=float, nargs=2, metavar=("LATITUDE", "LONGITUDE"),
+                      help="of the building's middle, degrees")
+    plan.add_argument("--height", type=_metres, help="of the building's highest part, metres")
+    plan.add_argument("--eaves", type=_metres, help="height of its walls, metres")
+    plan.add_argument("--name", default="", help="what the plan is called on the page")
+    for field, unit, text in (("pixel", "MM", "wanted millimetres a pixel on the building"),
+                              ("clearance", "METRES", "least distance to anything"),
+                              ("ceiling", "METRES", "greatest height above take-off")):
+        plan.add_argument(f"--{field}", type=_metres, default=getattr(Wishes, field), metavar=unit, help=text)
+    for field, text in (("forward", "the photo before"), ("side", "the neighbouring line")):
+        plan.add_argument(f"--{field}", type=_percent, default=100 * getattr(Wishes, field), metavar="PERCENT",
+                          help=f"overlap with {text}")
+    plan.add_argument("--above", type=_metres, help="metres of grids above the building, in place of --pixel")
+    plan.add_argument("--takeoff", type=float, nargs=3, default=Wishes.takeoff, metavar=("EAST", "NORTH", "UP"),
+                      help="take-off, metres from the building's middle and above its ground")
+    plan.add_argument("--camera", type=_metres, nargs=5, metavar=("W_MM", "H_MM", "FOCAL_MM", "W_PX", "H_PX"),
+                      help="a camera that is not in the table")
+    plan.add_argument("--minutes", type=_metres, help="of one battery, in place of the table's")
+    plan.add_argument("--waypoints", type=int, help="that the flight app takes at once, in place of the table's")
+
+
+def _metres(text: str) -> float:
+    """A positive number up to 100 km."""
+    value = float(text)
+    if not 0 < value <= 100_000:
+        raise argparse.ArgumentTypeError(f"{text} is not above 0")
+    return value
+
+
+def _percent(text: str) -> float:
+    value = float(text)
+    if not 0 <= value <= 95:
+        raise argparse.ArgumentTypeError(f"{text} is not between 0 and 95")
+    return value
 
 
 def options_of(given: argparse.Namespace) -> Options:

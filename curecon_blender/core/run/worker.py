@@ -24,7 +24,7 @@ from typing import TextIO
 from ..base import messages
 from ..base.errors import CuReconError, OutOfMemory, SetupError, ran_out_of_memory
 from ..base.messages import Message, Reporter
-from ..base.options import CONTROL
+from ..base.options import CONTROL, PLAN
 from .command_line import options_of, parser
 
 LIBRARIES = ("numpy", "PIL", "psutil", "cv2", "safetensors", "scipy", "torch", "pycolmap", "xatlas", "numba")
@@ -87,6 +87,10 @@ def _run(options: argparse.Namespace, reporter: Reporter) -> dict[str, object]:
 
         return run_control(options.workspace, options.imported, options.system, options.find_targets,
                            options.dictionary, options.export, reporter)
+    if options.command == PLAN:
+        from .plan import run_plan
+
+        return run_plan(options, reporter)
     if options.command == "check":
         return pipeline.check(options_of(options), options.thumbnails, reporter)
     if options.command == "report":

@@ -1,0 +1,209 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""From a building and wishes to a plan: the legs for its kind, kept clear of everything, cut into flights."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from ..base.errors import PlanError
+from . import forms
+from .drones import Drone
+from .obstacles import along
+from .outlines import area, hull
+from .records import Building, Flight, Leg, Plan, Waypoint, Wishes
+
+SPEED = 5.0  # metres a second between photos
+HOLD = 2.5  # seconds for a photo: to stop, hang still and go on
+CLIMB = 3.0  # metres a second, up and down
+LEAST_SIZE = 2.0  # metres across, of an outline
+RAISED_BY = 0.5  # metres, until a photo's place is clear
+MOST_LATITUDE = 85.0  # headings mean little nearer to a pole
+
+Form = Callable[[Building, Drone, Wishes], list[Leg]]
+
+
+def _building(building: Building, drone: Drone, wishes: Wishes) -> list[Leg]:
+    distance = drone.distance_for(wishes.pixel)
+    view = drone.footprint(distance)[1]
+    high = max(building.eaves, forms.LOWEST) + 2
+    low = high if high < 0.5 * view else min(max(forms.LOWEST, 0.4 * view), high)
+    return [*forms.orbits(building, drone, wishes, low, high), forms.high_orbit(building, drone, wishes),
+            forms.grid(building, drone, wishes)]
+
+
+def _tower(building: Building, drone: Drone, wishes: Wishes) -> list[Leg]:
+    distance = drone.distance_for(wishes.pixel)
+    low = max(forms.LOWEST, 0.4 * drone.footprint(distance)[1])
+    return [*forms.orbits(building, drone, wishes, min(low, building.height), building.height),
+            forms.high_orbit(building, drone, wishes, aim=building.height), forms.grid(building, drone, wishes)]
+
+
+def _helix(building: Building, drone: Drone, wishes: Wishes) -> list[Leg]:
+    return [forms.helix(building, drone, wishes, forms.LOWEST + 2, building.height),
+            forms.high_orbit(building, drone, wishes, aim=building.height)]
+
+
+def _crossed(building: Building, drone: Drone, wishes: Wishes) -> list[Leg]:
+    direction = forms.longest_direction(building.outline)
+    return [forms.grid(building, drone, wishes, direction=direction),
+            forms.grid(building, drone, wishes, direction=direction + 90, name="Straight down, crossing")]
+
+
+def _tulou(building: Building, drone: Drone, wishes: Wishes) -> list[Leg]:
+    if building.court is None:
+        raise PlanError("A ring needs its court.", remedy="Draw the court's outline too, or choose another kind of "
+                        "building.")
+    return [*_building(building, drone, wishes), *forms.court(building, drone, wishes)]
+
+
+# What is flown for a kind of building, or a single form, by the word that a person chooses.
+KINDS: dict[str, Form] = {
+    "building": _building,
+    "tulou": _tulou,
+    "tower": _tower,
+    "facade": lambda building, drone, wishes: [*forms.facade(building, drone, wishes),
+                                               forms.grid(building, drone, wishes)],
+    "courtyard": lambda building, drone, wishes: [
+        forms.grid(building, drone, wishes), *forms.oblique_grids(building, drone, wishes)],
+    "ruin": lambda building, drone, wishes: [
+        *forms.oblique_grids(building, drone, wishes), *forms.facade(building, drone, wishes)],
+    "grid": lambda building, drone, wishes: [forms.grid(building, drone, wishes)],
+    "crossed": _crossed,
+    "orbit": lambda building, drone, wishes: [
+        forms.orbit(building, drone, wishes, max(building.height, forms.LOWEST) + wishes.clearance)],
+    "helix": _helix,
+}
+
+
+def plan(kind: str, building: Building, drone: Drone, wishes: Wishes) -> Plan:
+    """The whole plan.
+
+    Raises PlanError where the building is no area, the ceiling leaves no room, the battery does not reach, or so many
+    photos would be needed that a number must be wrong.
+    """
+    _check(building, wishes)
+    notes: list[str] = []
+    legs = []
+    for leg in KINDS[kind](building, drone, wishes):
+        legs.append(_clear(_within_gimbal(leg, drone, notes), building, wishes, notes))
+    coarse = [leg for leg in legs if drone.pixel_at(leg.distance) > 1.5 * wishes.pixel]
+    for leg in coarse:
+        notes.append(f"{leg.name}: a pixel covers {drone.pixel_at(leg.distance):.0f} mm there, since the drone cannot "
+                     "come nearer.")
+    if wishes.takeoff[2]:
+        notes.append(f"Heights in the files count from take-off, which lies {abs(wishes.takeoff[2]):.1f} m "
+                     f"{'above' if wishes.takeoff[2] > 0 else 'below'} the ground at the building.")
+    else:
+        notes.append("Heights in the files count from take-off. Take off from ground as high as the building's.")
+    flights = _flights(legs, building, drone, wishes)
+    return Plan(kind=kind, drone=drone, building=building, wishes=wishes, legs=tuple(legs), flights=flights,
+                speed=SPEED, notes=tuple(notes))
+
+
+def _check(building: Building, wishes: Wishes) -> None:
+    corners = hull(building.outline) if len(building.outline) >= 3 else building.outline
+    if len(corners) < 3 or abs(area(corners)) < LEAST_SIZE**2:
+        raise PlanError("The outline is no area.", remedy=f"Draw it around the building, {LEAST_SIZE:.0f} m across or "
+                        "more.")
+    if building.origin is not None and abs(building.origin.latitude) > MOST_LATITUDE:
+        raise PlanError(f"The site lies at latitude {building.origin.latitude:.1f}, too near to a pole for headings.",
+                        remedy="Check the position; latitude comes first.")
+    room = wishes.top - building.obstacles.highest
+    if room < wishes.clearance:
+        raise PlanError(
+            f"The ceiling of {wishes.ceiling:.0f} m above take-off leaves {max(room, 0):.0f} m above the highest thing "
+            f"on the site, less than the clearance of {wishes.clearance:.0f} m.",
+            remedy="Raise the ceiling if the law allows it, take off from higher ground, or allow less clearance.")
+
+
+def _within_gimbal(leg: Leg, drone: Drone, notes: list[str]) -> Leg:
+    pitches = np.clip(leg.pitches, *drone.pitch)
+    turned = float(np.abs(pitches - leg.pitches).max(initial=0.0))
+    if turned > 0.5:
+        notes.append(f"{leg.name}: the gimbal stops {turned:.0f} degrees before the angle that is best.")
+    return replace(leg, pitches=pitches)
+
+
+def _clear(leg: Leg, building: Building, wishes: Wishes, notes: list[str]) -> Leg:
+    """A leg whose photos are all taken clear of everything: places are raised, and look at the same spot from there."""
+    places, pitches = leg.places.copy(), leg.pitches.copy()
+    near = building.obstacles.clearance(places, wishes.clearance) < wishes.clearance - 1e-6
+    raised = near.copy()
+    while near.any():
+        places[near, 2] += RAISED_BY
+        near &= places[:, 2] <= wishes.top
+        near[near] = building.obstacles.clearance(places[near], wishes.clearance) < wishes.clearance - 1e-6
+    fits = places[:, 2] <= wishes.top + 1e-6
+    if not fits.any():
+        raise PlanError(f"{leg.name}: no photo of it can be taken {wishes.clearance:.0f} m clear of everything and "
+                        f"below {wishes.ceiling:.0f} m.", remedy="Raise the ceiling or allow less clearance.")
+    if raised.any():
+        slant = leg.distance * np.cos(np.radians(pitches))
+        drop = -leg.distance * np.sin(np.radians(pitches)) + places[:, 2] - leg.places[:, 2]
+        pitches = np.where(raised, -np.degrees(np.arctan2(drop, slant)), pitches)
+        notes.append(f"{leg.name}: {int((raised & fits).sum())} of {len(leg)} photos are taken from higher up to stay "
+                     "clear"
+                     + (f", and {int((~fits).sum())} are left out" if not fits.all() else "") + ".")
+    return replace(leg, places=places[fits], headings=leg.headings[fits], pitches=pitches[fits])
+
+
+def _flights(legs: list[Leg], building: Building, drone: Drone, wishes: Wishes) -> tuple[Flight, ...]:
+    """The legs one after the other, cut where a battery or the app's list of waypoints is full."""
+    cruise = min(max(building.obstacles.highest + wishes.clearance, *(leg.places[:, 2].max() for leg in legs)),
+                 wishes.top)
+    home = np.array([wishes.takeoff[0], wishes.takeoff[1], cruise])
+    usable = drone.minutes * (1 - wishes.kept_back)
+    stops = [Waypoint(place=tuple(place), heading=float(heading), pitch=float(pitch), photo=True, leg=leg.name)
+             for leg in legs for place, heading, pitch in zip(leg.places, leg.headings, leg.pitches, strict=True)]
+    flights, current = [], list[Waypoint]()
+    for stop in stops:
+        tried = [*current, *_way(current[-1] if current else None, stop, home, cruise, building, wishes), stop]
+        flight = _flown([*tried, *_back(stop, home, cruise)], home, wishes, drone)
+        if current and (flight.minutes > usable or len(flight.waypoints) > drone.waypoints):
+            flights.append(_flown([*current, *_back(current[-1], home, cruise)], home, wishes, drone))
+            tried = [*_way(None, stop, home, cruise, building, wishes), stop]
+            flight = _flown([*tried, *_back(stop, home, cruise)], home, wishes, drone)
+        if flight.minutes > usable:
+            raise PlanError(f"One battery of this drone does not reach {stop.leg} and come back.",
+                            remedy="Take off nearer to the building.")
+        current = tried
+    flights.append(_flown([*current, *_back(current[-1], home, cruise)], home, wishes, drone))
+    return tuple(flights)
+
+
+def _way(before: Waypoint | None, stop: Waypoint, home: np.ndarray, cruise: float, building: Building,
+         wishes: Wishes) -> list[Waypoint]:
+    """Waypoints without a photo that lead to a stop: none where the straight way is clear."""
+    there = np.array(stop.place)
+    if before is not None:
+        here = np.array(before.place)
+        if building.obstacles.clearance(along(here, there), wishes.clearance).min() >= 0.95 * wishes.clearance:
+            return []
+        high = [np.array([here[0], here[1], cruise]), np.array([there[0], there[1], cruise])]
+    else:
+        high = [home, np.array([there[0], there[1], cruise])]
+    return [_passing(place, stop) for place in high]
+
+
+def _back(last: Waypoint, home: np.ndarray, cruise: float) -> list[Waypoint]:
+    return [_passing(np.array([last.place[0], last.place[1], cruise]), last), _passing(home, last)]
+
+
+def _passing(place: np.ndarray, stop: Waypoint) -> Waypoint:
+    x, y, z = (float(value) for value in place)
+    return replace(stop, place=(x, y, z), photo=False)
+
+
+def _flown(waypoints: list[Waypoint], home: np.ndarray, wishes: Wishes, drone: Drone) -> Flight:
+    """A flight with its length and minutes, the climb from take-off and the landing among them."""
+    places = np.array([waypoint.place for waypoint in waypoints])
+    step = np.diff(places, axis=0)
+    metres = float(np.linalg.norm(step, axis=1).sum()) + 2 * (home[2] - wishes.takeoff[2])
+    seconds = float(np.maximum(np.linalg.norm(step[:, :2], axis=1) / SPEED, np.abs(step[:, 2]) / CLIMB).sum())
+    seconds += 2 * (home[2] - wishes.takeoff[2]) / CLIMB
+    seconds += sum(waypoint.photo for waypoint in waypoints) * max(HOLD, drone.interval)
+    return Flight(waypoints=tuple(waypoints), metres=metres, minutes=seconds / 60)

@@ -1,0 +1,127 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The command `plan`: a flight for a building that is drawn, described or already in a workspace's cloud."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from ..base.errors import PlanError
+from ..base.files import atomic_write, disk_errors, write_json
+from ..base.messages import Reporter
+from ..base.records import GeoPosition
+from ..cloud.ply import read_cloud
+from ..plan import coverage, files, site
+from ..plan.drones import DRONES, Drone
+from ..plan.mission import plan
+from ..plan.page import page
+from ..plan.records import Building, Plan, Wishes
+from ..views import record as views_record
+
+MOST_POINTS = 2_000_000  # of a cloud that obstacles are taken from
+
+
+def run_plan(given: argparse.Namespace, reporter: Reporter) -> dict[str, Any]:
+    """Plan and write the files; returns what was planned. Raises PlanError, WorkspaceError."""
+    reporter.begin({"plan": 1.0})
+    reporter.stage("plan")
+    wishes = Wishes(pixel=given.pixel, forward=given.forward / 100, side=given.side / 100, clearance=given.clearance,
+                    ceiling=given.ceiling, takeoff=tuple(given.takeoff), above=given.above)
+    made = plan(given.kind, _building(given), _drone(given), wishes)
+    seen = coverage.of_plan(made, coverage.parts_of(made.building))
+    written = _write(given.folder.absolute(), given.name or given.folder.absolute().name, made, seen)
+    if made.building.origin is None:
+        reporter.warning("The position is not known: the page for flying by hand was written, and no mission files. "
+                         "Give --position for those.")
+    for note in made.notes:
+        reporter.warning(note)
+    reporter.progress(1, 1, fresh=False)
+    return {"plan": {**facts(made, seen), "files": written}, "warnings": reporter.warnings}
+
+
+def facts(made: Plan, seen: coverage.Seen) -> dict[str, Any]:
+    """The figures of a plan, as they stand in plan.json."""
+    return {
+        "kind": made.kind, "drone": made.drone.name, "photos": made.photos,
+        "pixel_mm": round(seen.usual_pixel, 1), "covered": round(seen.share, 3),
+        "legs": [{"name": leg.name, "photos": len(leg), "distance": round(leg.distance, 1)} for leg in made.legs],
+        "flights": [{"photos": flight.photos, "waypoints": len(flight.waypoints), "metres": round(flight.metres),
+                     "minutes": round(flight.minutes, 1)} for flight in made.flights],
+        "notes": list(made.notes),
+    }
+
+
+def _write(folder: Path, name: str, made: Plan, seen: coverage.Seen) -> list[str]:
+    with disk_errors(folder / "plan.json"):
+        folder.mkdir(parents=True, exist_ok=True)
+    written = []
+
+    def path(file: str) -> Path:
+        written.append(file)
+        return folder / file
+
+    for old in [*folder.glob("flight_*.kmz"), *folder.glob("flight_*_litchi.csv")]:
+        old.unlink()  # of a plan that had more flights
+    with atomic_write(path("plan.html")) as file:
+        file.write(page(made, seen, name).encode())
+    if made.building.origin is not None:
+        created = int(time.time() * 1000)
+        for n, flight in enumerate(made.flights, start=1):
+            files.write_kmz(path(f"flight_{n}.kmz"), made, flight, created)
+            files.write_litchi(path(f"flight_{n}_litchi.csv"), made, flight)
+        files.write_kml(path("plan.kml"), made)
+        files.write_gpx(path("plan.gpx"), made)
+    write_json(path("plan.json"), {
+        **facts(made, seen), "origin": asdict(made.building.origin) if made.building.origin else None,
+        "waypoints": [[asdict(waypoint) for waypoint in flight.waypoints] for flight in made.flights],
+    })
+    return written
+
+
+def _building(given: argparse.Namespace) -> Building:
+    origin = None
+    if given.position is not None:
+        latitude, longitude = given.position
+        if not (abs(latitude) <= 90 and abs(longitude) <= 180):
+            raise PlanError(f"{latitude:g}, {longitude:g} is no position on Earth.",
+                            remedy="Give latitude, then longitude, in degrees.")
+        origin = GeoPosition(latitude=latitude, longitude=longitude, altitude=None)
+    if given.workspace is not None:
+        return _of_workspace(given, origin)
+    if given.height is None:
+        raise PlanError("The building's height is not known.", remedy="Give its highest part in metres (--height).")
+    if given.outline is not None:
+        return site.of_file(given.outline, given.height, eaves=given.eaves)
+    if given.ring is not None:
+        outer, inner = given.ring
+        return site.of_ring(outer, inner, given.height, eaves=given.eaves, origin=origin)
+    width, depth = given.size
+    return site.of_size(width, depth, given.height, turn=given.turn, eaves=given.eaves, origin=origin)
+
+
+def _of_workspace(given: argparse.Namespace, origin: GeoPosition | None) -> Building:
+    component = views_record.read(given.workspace)[0]
+    if component.frame.scale != "metres":
+        raise PlanError("This workspace's scale is not known, so no flight can be planned in metres.",
+                        remedy="Give a distance or control points first, or draw the outline.", path=given.workspace)
+    points = read_cloud(given.workspace / component.cloud).points.astype(float)
+    if component.frame.north and component.frame.origin is not None:
+        origin = component.frame.origin
+    return site.of_points(points[:: max(len(points) // MOST_POINTS, 1)], height=given.height, eaves=given.eaves,
+                          origin=origin)
+
+
+def _drone(given: argparse.Namespace) -> Drone:
+    drone = DRONES[given.drone]
+    if given.camera is not None:
+        width, height, focal, across, down = given.camera
+        drone = replace(drone, name="Own camera", sensor=(width, height), focal=focal, picture=(int(across), int(down)))
+    if given.minutes is not None:
+        drone = replace(drone, minutes=given.minutes)
+    if given.waypoints is not None:
+        drone = replace(drone, waypoints=given.waypoints)
+    return drone
