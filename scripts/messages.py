@@ -25,8 +25,9 @@ ROOT = Path(__file__).resolve().parent.parent
 ADDON = ROOT / "curecon_blender"
 sys.path.insert(0, str(ROOT))
 
-# For the command line, for developers, or with words of its own: the accuracy report.
-ENGLISH = {"core/report", "core/run/command_line.py", "core/base/options.py", "core/__main__.py"}
+# For the command line, for developers, or with words of its own: the accuracy report, the plan on paper.
+ENGLISH = {"core/report", "core/plan/page.py", "core/plan/files.py", "core/run/command_line.py",
+           "core/base/options.py", "core/__main__.py"}
 FOR_DEVELOPERS = {"diagnostics", "described"}  # functions whose text is sent to the developers
 SENTENCE = re.compile(
     r"[A-Za-z]{2,}[,.:;)'\"]* +[(\"]?[A-Za-z{]|[}a-z)][.:;]? [a-z]{2,}|^ ?[A-Z][a-z]+[a-z ]*(: | \{\}|\.)"
@@ -36,7 +37,7 @@ NO_WORDS = re.compile(  # shaders, SQL, file formats, columns of tables, what ot
     r"[\n<>|\\]|^#|void main|PRAGMA|^format |^property |^comment |red green blue|\bK[ads] \d|%[sd]|^end_|^element "
     r"|sigma|ylat|xlong|easting|northing|ellipsoidh|^role type|nx ny|newmtl|map_Kd|filename|pointid|^px |^py "
     r"|^\{\} Depth from|^CU-Recon [A-Zl]|^warning: |^UTM |^Unique name|^\{\} mm$|^not a worker|^shift "
-    r"|^(ATTACH|INSERT|DELETE|SELECT) "
+    r"|^(DJI|Autel|Parrot|Skydio) |^(ATTACH|INSERT|DELETE|SELECT) "
 )
 # Functions that translate or show what they are given, arguments that are shown, variables that hold single words.
 TRANSLATING = {"iface_", "rpt_", "n_", "pgettext_iface", "pgettext_rpt", "pgettext_n", "counted", "poll_message_set",

@@ -16,6 +16,7 @@ import numpy as np
 import pycolmap
 import pytest
 from conftest import SITE, curecon
+from test_extension import blender, run_script  # noqa: F401
 
 from curecon_blender.core.base.errors import PlanError
 from curecon_blender.core.base.records import GeoPosition
@@ -198,9 +199,10 @@ def test_an_outline_drawn_on_a_map_gives_building_and_court(tmp_path: Path) -> N
     rings = [[[(179.9995 + x + 180) % 360 - 180, -17 + y] for x, y in ring] for ring in places]
     (tmp_path / "a.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": [
         {"type": "Feature", "geometry": {"type": "Polygon", "coordinates": [[*ring, ring[0]] for ring in rings]}}]}))
-    kml = "".join(
-        f"<{side}BoundaryIs><LinearRing><coordinates>" + " ".join(f"{x},{y},0" for x, y in [*ring, ring[0]])
-        + f"</coordinates></LinearRing></{side}BoundaryIs>" for side, ring in zip(("outer", "inner"), rings, strict=True))
+    kml = ""
+    for side, ring in zip(("outer", "inner"), rings, strict=True):
+        line = " ".join(f"{x},{y},0" for x, y in [*ring, ring[0]])
+        kml += f"<{side}BoundaryIs><LinearRing><coordinates>{line}</coordinates></LinearRing></{side}BoundaryIs>"
     (tmp_path / "a.kml").write_text(f'<kml xmlns="{KML[1:-1]}"><Placemark><Polygon>{kml}</Polygon></Placemark></kml>')
     for file in ("a.geojson", "a.kml"):
         building = site.of_file(tmp_path / file, 12)
@@ -246,3 +248,7 @@ def test_a_ring_without_a_court_and_flat_ground_are_refused() -> None:
         plan("tulou", HOUSE, DRONE, WISHES)
     with pytest.raises(PlanError, match="Nothing stands out"):
         site.of_points(np.random.default_rng(0).uniform([0, 0, 0], [50, 50, 0.2], (5000, 3)))
+
+
+def test_a_flight_is_planned_drawn_and_exported_in_blender(blender: Path, tmp_path: Path) -> None:  # noqa: F811
+    run_script(blender, "check_plan.py", tmp_path, resources=tmp_path / "user")

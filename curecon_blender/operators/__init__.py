@@ -25,6 +25,7 @@ from . import (
     import_workspace,
     mark_points,
     measure,
+    plan_flight,
     present_elevations,
     present_moves,
     present_photos,
@@ -43,7 +44,7 @@ CLASSES: tuple[type, ...] = (
     *frame_scale.CLASSES, *frame_level.CLASSES, *frame_north.CLASSES, *frame_ground.CLASSES, *frame_reset.CLASSES,
     *frame_position.CLASSES, *measure.CLASSES,
     *control_points.CLASSES, *mark_points.CLASSES,
-    *cloud_points.CLASSES, *self_check.CLASSES,
+    *plan_flight.CLASSES, *cloud_points.CLASSES, *self_check.CLASSES,
 )
 
 

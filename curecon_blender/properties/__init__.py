@@ -21,11 +21,12 @@ from bpy.props import (
 from ..core.base.options import PRESETS
 from ..scene import cameras, surface, viewport
 from ..scene.workspace import clouds_of, hide
-from . import cloud, control, frame, photos, present, result
+from . import cloud, control, frame, photos, plan, present, result
 from .cloud import CURECON_PG_cloud
 from .control import CURECON_PG_control
 from .frame import CURECON_PG_measurement
 from .photos import CURECON_PG_check
+from .plan import CURECON_PG_plan
 from .present import CURECON_PG_present
 from .result import CURECON_PG_result
 
@@ -209,11 +210,12 @@ class CURECON_PG_scene(bpy.types.PropertyGroup):
         default=True, update=_redraw,
     )
     control: PointerProperty(type=CURECON_PG_control, name="Control Points", description="Points that were measured")
+    plan: PointerProperty(type=CURECON_PG_plan, name="Plan", description="What a flight is planned from")
     present: PointerProperty(type=CURECON_PG_present, name="Present", description="How the site is presented")
 
 
-CLASSES = (*photos.CLASSES, *cloud.CLASSES, *result.CLASSES, *frame.CLASSES, *control.CLASSES, *present.CLASSES,
-           CURECON_PG_scene)
+CLASSES = (*photos.CLASSES, *cloud.CLASSES, *result.CLASSES, *frame.CLASSES, *control.CLASSES, *plan.CLASSES,
+           *present.CLASSES, CURECON_PG_scene)
 
 
 def attach() -> None:

@@ -88,8 +88,7 @@ def of_points(points: np.ndarray, *, height: float | None = None, eaves: float |
     The ground is the cloud's low level. The building is what stands out of it, nearest to the middle and connected.
     Raises PlanError where nothing does.
     """
-    ground = float(np.quantile(points[:, 2], _GROUND_SHARE))
-    above = points - [0, 0, ground]
+    above = points - [0, 0, ground_of(points)]
     low, high = np.quantile(above[:, :2], [0.01, 0.99], axis=0)
     above = above[((above[:, :2] >= low) & (above[:, :2] <= high)).all(axis=1)]
     columns = obstacles.of_points(above)
@@ -107,6 +106,24 @@ def of_points(points: np.ndarray, *, height: float | None = None, eaves: float |
     building = _building(outline, _court(chosen, columns), height or found, eaves or float(np.quantile(inside, 0.3)),
                          origin)
     return Building(**{**vars(building), "obstacles": obstacles.joined(building.obstacles, columns)})
+
+
+def ground_of(points: np.ndarray) -> float:
+    """Height of the ground under a cloud (N,3), that heights of its building count from."""
+    return float(np.quantile(points[:, 2], _GROUND_SHARE))
+
+
+def of_outline(outline: np.ndarray, height: float, *, court: np.ndarray | None = None,
+               origin: GeoPosition | None = None) -> Building:
+    """A block on the hull of places (N,2) that somebody drew, in metres; with the hull of others as its court.
+
+    Raises PlanError where the court is not inside.
+    """
+    corners = hull(outline)
+    inner = None if court is None else hull(court)
+    if inner is not None and not obstacles.inside(inner, corners).all():
+        raise PlanError("The court does not lie inside of the building.", remedy="Move it inside or make it smaller.")
+    return _building(corners, inner, height, None, origin)
 
 
 def _building(outline: np.ndarray, court: np.ndarray | None, height: float, eaves: float | None,
@@ -135,8 +152,8 @@ def _kml(text: str) -> list[np.ndarray]:
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise ValueError("it declares entities")
     for polygon in ElementTree.fromstring(text).iter("{http://www.opengis.net/kml/2.2}Polygon"):
-        rings = [element.text or "" for side in ("outer", "inner")
-                 for element in polygon.iterfind(f".//{{*}}{side}BoundaryIs//{{*}}coordinates")]
+        rings = [element.text or "" for kind in ("outer", "inner")
+                 for element in polygon.iterfind(f".//{{*}}{kind}BoundaryIs//{{*}}coordinates")]
         return [_ring([[float(part) for part in place.split(",")] for place in re.split(r"\s+", ring.strip())])
                 for ring in rings[:2]]
     return []

@@ -5,21 +5,18 @@
 from __future__ import annotations
 
 import argparse
-import time
-from dataclasses import asdict, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 from ..base.errors import PlanError
-from ..base.files import atomic_write, disk_errors, write_json
 from ..base.messages import Reporter
 from ..base.records import GeoPosition
 from ..cloud.ply import read_cloud
-from ..plan import coverage, files, site
+from ..plan import coverage, site
 from ..plan.drones import DRONES, Drone
 from ..plan.mission import plan
-from ..plan.page import page
-from ..plan.records import Building, Plan, Wishes
+from ..plan.records import Building, Wishes
+from ..plan.write import facts, write_plan
 from ..views import record as views_record
 
 MOST_POINTS = 2_000_000  # of a cloud that obstacles are taken from
@@ -33,7 +30,8 @@ def run_plan(given: argparse.Namespace, reporter: Reporter) -> dict[str, Any]:
                     ceiling=given.ceiling, takeoff=tuple(given.takeoff), above=given.above)
     made = plan(given.kind, _building(given), _drone(given), wishes)
     seen = coverage.of_plan(made, coverage.parts_of(made.building))
-    written = _write(given.folder.absolute(), given.name or given.folder.absolute().name, made, seen)
+    folder = given.folder.absolute()
+    written = write_plan(folder, made, seen, given.name or folder.name)
     if made.building.origin is None:
         reporter.warning("The position is not known: the page for flying by hand was written, and no mission files. "
                          "Give --position for those.")
@@ -41,45 +39,6 @@ def run_plan(given: argparse.Namespace, reporter: Reporter) -> dict[str, Any]:
         reporter.warning(note)
     reporter.progress(1, 1, fresh=False)
     return {"plan": {**facts(made, seen), "files": written}, "warnings": reporter.warnings}
-
-
-def facts(made: Plan, seen: coverage.Seen) -> dict[str, Any]:
-    """The figures of a plan, as they stand in plan.json."""
-    return {
-        "kind": made.kind, "drone": made.drone.name, "photos": made.photos,
-        "pixel_mm": round(seen.usual_pixel, 1), "covered": round(seen.share, 3),
-        "legs": [{"name": leg.name, "photos": len(leg), "distance": round(leg.distance, 1)} for leg in made.legs],
-        "flights": [{"photos": flight.photos, "waypoints": len(flight.waypoints), "metres": round(flight.metres),
-                     "minutes": round(flight.minutes, 1)} for flight in made.flights],
-        "notes": list(made.notes),
-    }
-
-
-def _write(folder: Path, name: str, made: Plan, seen: coverage.Seen) -> list[str]:
-    with disk_errors(folder / "plan.json"):
-        folder.mkdir(parents=True, exist_ok=True)
-    written = []
-
-    def path(file: str) -> Path:
-        written.append(file)
-        return folder / file
-
-    for old in [*folder.glob("flight_*.kmz"), *folder.glob("flight_*_litchi.csv")]:
-        old.unlink()  # of a plan that had more flights
-    with atomic_write(path("plan.html")) as file:
-        file.write(page(made, seen, name).encode())
-    if made.building.origin is not None:
-        created = int(time.time() * 1000)
-        for n, flight in enumerate(made.flights, start=1):
-            files.write_kmz(path(f"flight_{n}.kmz"), made, flight, created)
-            files.write_litchi(path(f"flight_{n}_litchi.csv"), made, flight)
-        files.write_kml(path("plan.kml"), made)
-        files.write_gpx(path("plan.gpx"), made)
-    write_json(path("plan.json"), {
-        **facts(made, seen), "origin": asdict(made.building.origin) if made.building.origin else None,
-        "waypoints": [[asdict(waypoint) for waypoint in flight.waypoints] for flight in made.flights],
-    })
-    return written
 
 
 def _building(given: argparse.Namespace) -> Building:
