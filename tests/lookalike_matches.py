@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What matching finds of buildings whose sides look alike, without drawing them: a database of features and matches.
 
-Where two photos do not truly overlap, the wall of one side matches that of another as if it were the same; the ground
-before it does not.
+The wall of one side matches that of another as if it were the same; the ground before it does not. Of the ways in which
+two photos match, verification takes the one with the most matches: where they look from far apart, that is a false one.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from curecon_blender.core.base.records import Gimbal, Photo
 WIDTH, HEIGHT, FOCAL = 480, 360, 420.0
 RADIUS, TALL, ORBIT = 10.0, 6.0, 22.0  # metres
 IN_BAY = 100  # features of the wall
-MOST_TURNED = 35.0  # degrees between the directions from which a feature still matches
+MOST_TURNED = 50.0  # degrees between the directions from which no feature matches any more
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,15 +77,13 @@ def write_ring(database: Path, count: int, bays: int, *, gimbal: bool = False, a
             opened.write_keypoints(image.image_id, pixels[visible].astype(np.float32))
         for i in range(count):
             for j in range(i + 1, count):
-                steps = (j - i + count // 2) % count - count // 2
-                if abs(steps) * 360 / count <= MOST_TURNED:
-                    matches = _common(seen[i], seen[j])
-                elif alike:
-                    shift = round(steps * bays / count)  # bays, after which the two see the same
-                    others = np.where(seen[j] < len(wall), seen[j], -2)
-                    matches = _common(_walls(seen[i], len(wall), shift * IN_BAY), others)
-                else:
-                    continue
+                turn = (j - i) * 360 / count
+                walls = np.where(seen[j] < len(wall), seen[j], -2)
+                ways = [_common(seen[i], seen[j], turn, rng)]
+                if alike:  # as if the second photo looked at the bays so many before
+                    ways += [_common(_walls(seen[i], len(wall), bay * IN_BAY), walls, turn - bay * 360 / bays, rng)
+                             for bay in range(1, bays)]
+                matches = max(ways, key=len)
                 if len(matches) >= 15:
                     geometry = pycolmap.TwoViewGeometry()
                     geometry.config = pycolmap.TwoViewGeometryConfiguration.CALIBRATED
@@ -99,7 +97,8 @@ def _walls(seen: np.ndarray, wall: int, shift: int) -> np.ndarray:
     return np.where(seen < wall, (seen + shift) % wall, -1)
 
 
-def _common(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+def _common(first: np.ndarray, second: np.ndarray, turn: float, rng: np.random.Generator) -> np.ndarray:
+    """Matches (K,2) of what both photos see: the fewer, the more degrees apart they look at it from."""
     _, i, j = np.intersect1d(first, second, return_indices=True)
-    known = first[i] >= 0
+    known = (first[i] >= 0) & (rng.random(len(i)) < 1 - abs((turn + 180) % 360 - 180) / MOST_TURNED)
     return np.stack([i[known], j[known]], axis=1).astype(np.uint32)

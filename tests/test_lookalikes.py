@@ -10,9 +10,13 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 import pytest
+from drawn_ring import draw_ring
 from lookalike_matches import Ring, write_ring
 
 from curecon_blender.core.base.messages import Reporter
+from curecon_blender.core.base.options import Options
+from curecon_blender.core.base.records import PhotoSet
+from curecon_blender.core.sparse import find_cameras
 from curecon_blender.core.sparse.lookalikes import without_lookalikes
 from curecon_blender.core.sparse.mapping import map_photos
 from curecon_blender.core.sparse.pairs import metadata_pairs
@@ -53,6 +57,20 @@ def test_a_building_of_equal_sides_is_unfolded_and_told(tmp_path: Path, count: i
     assert errors(after, ring).max() < 0.2
     assert len(reporter.warnings) == 1 and "wrong side of the building" in reporter.warnings[0]
     assert "photo_0" in reporter.warnings[0]
+
+
+def test_a_drawn_ring_of_equal_bays_is_unfolded_and_told(tmp_path: Path) -> None:
+    """Twelve equal bays, photographed two thirds of the way round, every ten degrees, without GPS or gimbal. All pairs
+    of photos match falsely but those of neighbours."""
+    ring = draw_ring(tmp_path / "photos", 36, 12, drawn=24)
+    reporter = Reporter()
+    reporter.stage("sparse")
+    options = Options(photos=tmp_path / "photos", workspace=tmp_path, quality="preview")
+    find_cameras.reconstruct(PhotoSet(photos=ring.photos), options, tmp_path, reporter)
+    models = [pycolmap.Reconstruction(folder) for folder in sorted((tmp_path / "sparse" / "mapped").iterdir())]
+    assert [model.num_reg_images() for model in models] == [24]
+    assert errors(models, ring).max() < 0.5
+    assert len(reporter.warnings) == 1 and "wrong side of the building" in reporter.warnings[0]
 
 
 @pytest.mark.parametrize("gimbals", ["true", "frozen"])

@@ -30,8 +30,8 @@ from .models import listed
 from .pairs import Pair
 
 PATCHES = 8, 6  # across a photo, and down
-NEIGHBOURS = 2  # photos before and after in the order of capture that surely show the same side
 STRONG = 30  # verified matches of a pair that surely overlaps
+CLOSED = 0.8  # share of the features that come to the same feature by way of a third photo, where all three are right
 HELD, TORN = 0.5, 0.2  # share of a pair's matches that the model has as one point: it relies on the pair, or tears it
 TURNED = 35.0  # degrees by which gimbal and model may differ between two photos
 TRUSTED = 12.0  # degrees, median: gimbals that differ more tell nothing
@@ -39,8 +39,9 @@ ELSEWHERE = 12.0, 0.5  # metres, and share of the distance by GPS, by which two 
 MISSED = 0.6  # of the usual share of patches that match; below, the surroundings contradict
 WIDEST, FARTHEST = 30.0, 2.0  # degrees and ratio of distances up to which a point should be recognised
 FEWEST_PATCHES, RICH = 6, 3  # patches to tell by, and features in one
+ROUNDS = 3  # of cutting and mapping: what held a join may have hidden the next
 FEWEST_TEARS, TEARS = 3, 0.1  # pairs of followers, and share of them, that a model tears where it is folded
-OFF_LINE = 0.02  # of the focal length, from an epipolar line
+OFF_PLACE = 0.05  # of the focal length, from where a model has a feature: models of a chain of photos drift
 STAYED = 0.05  # of the cameras' extent, by which a photo may move and still stand where it stood
 
 
@@ -101,10 +102,10 @@ def placed_photos(models: list[pycolmap.Reconstruction], photos: tuple[Photo, ..
 def find_joins(
     placed: dict[int, Placed], verified: Iterable[tuple[Pair, np.ndarray]]
 ) -> list[Join]:
-    """Every pair with verified matches (K,2) of which the models have a photo. A photo apart shares no point."""
+    """Every pair with verified matches (K,2). A photo apart, or none of the models', shares no point."""
     joins = []
     for (i, j), matches in verified:
-        if len(matches) == 0 or not {i, j} & placed.keys():
+        if len(matches) == 0:
             continue
         if i not in placed or j not in placed or placed[i].model != placed[j].model:
             joins.append(Join(pair=(i, j), matches=matches, kept=0.0))
@@ -126,17 +127,15 @@ def patches_found(join: Join, placed: dict[int, Placed]) -> float:
 
 def _patches(source: Placed, target: Placed, matched: np.ndarray) -> np.ndarray:
     """Patches of the source with features that match, and of all that the target should show, too: (2,)."""
-    local = (source.scene - target.centre) @ target.rotation.T
     to_source, to_target = source.scene - source.centre, source.scene - target.centre
     near, far = np.linalg.norm(to_source, axis=1), np.linalg.norm(to_target, axis=1)
     cosine = (to_source * to_target).sum(1) / np.maximum(near * far, 1e-12)
-    alike = (local[:, 2] > 1e-9) & (cosine > np.cos(np.radians(WIDEST))) & (near < FARTHEST * far)
-    alike &= far < FARTHEST * near
-    chosen = np.flatnonzero(alike)
-    pixels = np.asarray(target.camera.img_from_cam(local[chosen])).reshape(-1, 2)
+    alike = (cosine > np.cos(np.radians(WIDEST))) & (near < FARTHEST * far) & (far < FARTHEST * near)
+    pixels = _seen(target, source.scene)
     with np.errstate(invalid="ignore"):
-        inside = (pixels >= 0).all(1) & (pixels < [target.camera.width, target.camera.height]).all(1)
-    chosen, pixels = chosen[inside], pixels[inside]
+        alike &= (pixels >= 0).all(1) & (pixels < [target.camera.width, target.camera.height]).all(1)
+    chosen = np.flatnonzero(alike)
+    pixels = pixels[chosen]
     count = PATCHES[0] * PATCHES[1]
     own, there = _cells(source, source.pixels), _cells(target, pixels)
     rich = np.bincount(_cells(target, target.pixels), minlength=count) >= RICH
@@ -144,6 +143,13 @@ def _patches(source: Placed, target: Placed, matched: np.ndarray) -> np.ndarray:
     found = np.zeros(count, bool)
     found[own[matched]] = True
     return np.array([(shared & found).sum(), shared.sum()])
+
+
+def _seen(photo: Placed, places: np.ndarray) -> np.ndarray:
+    """Pixels (N,2) at which a photo shows places (N,3) of its model; nan behind it."""
+    local = (places - photo.centre) @ photo.rotation.T
+    local[local[:, 2] < 1e-9] = np.nan
+    return np.asarray(photo.camera.img_from_cam(local)).reshape(-1, 2)
 
 
 def _cells(photo: Placed, pixels: np.ndarray) -> np.ndarray:
@@ -158,11 +164,11 @@ def _cells(photo: Placed, pixels: np.ndarray) -> np.ndarray:
 
 def contradicted(placed: dict[int, Placed], joins: list[Join], photos: tuple[Photo, ...]) -> list[Pair]:
     """The pairs that a model relies on, and that two witnesses contradict."""
-    rank = _order_of_capture(photos)
-    sure = [join for join in joins if join.held and _follow(join, rank)]
-    doubtful = [join for join in joins if join.held and not _follow(join, rank)]
+    rank, followers = _order_of_capture(photos), _followers(joins, photos)
+    sure = [join for join in joins if join.held and join.pair in followers]
+    doubtful = [join for join in joins if join.held and join.pair not in followers]
     turned, elsewhere = _by_gimbal(placed, sure, photos), _by_gps(placed, sure, photos)
-    across = _by_order(joins, rank)
+    across = _by_order([join for join in joins if join.torn and join.pair in followers], rank)
     suspects = []
     for join in doubtful:
         witnesses = sum((turned(join.pair), elsewhere(join.pair), across(join.pair)))
@@ -176,14 +182,38 @@ def contradicted(placed: dict[int, Placed], joins: list[Join], photos: tuple[Pho
     return [join.pair for join, witnesses in suspects if witnesses >= 2 or patches_found(join, placed) < least]
 
 
-def _follow(join: Join, rank: dict[int, int]) -> bool:
-    """Whether two photos were taken one soon after the other, so that they surely show the same side."""
-    return abs(rank[join.pair[0]] - rank[join.pair[1]]) <= NEIGHBOURS
+def _followers(joins: list[Join], photos: tuple[Photo, ...]) -> set[Pair]:
+    """The pairs that surely show the same side: photos taken one after the other; and those with one between them where
+    the way through it comes to the same features, or where there is none. Two photos apart, the next bay of a round
+    building may match better than the true one."""
+    rank = _order_of_capture(photos)
+    between = {place: photo for photo, place in rank.items()}
+    matches = {join.pair: join.matches for join in joins if len(join.matches) >= STRONG}
+    matches |= {(j, i): found[:, ::-1] for (i, j), found in matches.items()}
+    followers = set()
+    for join in joins:
+        first, last = sorted(rank[photo] for photo in join.pair)
+        if last - first == 1:
+            followers.add(join.pair)
+        elif last - first == 2:
+            i, j = join.pair
+            there, on = matches.get((i, between[first + 1])), matches.get((between[first + 1], j))
+            if there is None or on is None or _closed(join.matches, there, on):
+                followers.add(join.pair)
+    return followers
 
 
-def _by_order(joins: list[Join], rank: dict[int, int]) -> Callable[[Pair], bool]:
-    """Whether the models tear apart what was taken from one photo to the other: neighbours that match well."""
-    tears = [sorted(rank[photo] for photo in join.pair) for join in joins if join.torn and _follow(join, rank)]
+def _closed(straight: np.ndarray, there: np.ndarray, on: np.ndarray) -> bool:
+    """Whether features come to the same by matches (K,2) between two photos as by those to a third and on from it."""
+    _, a, b = np.intersect1d(there[:, 1], on[:, 0], return_indices=True)
+    ways = np.stack([there[a, 0], on[b, 1]], axis=1)
+    _, a, b = np.intersect1d(straight[:, 0], ways[:, 0], return_indices=True)
+    return len(a) > 0 and float((straight[a, 1] == ways[b, 1]).mean()) >= CLOSED
+
+
+def _by_order(torn: list[Join], rank: dict[int, int]) -> Callable[[Pair], bool]:
+    """Whether the models tear apart what was taken from one photo to the other: followers that match well."""
+    tears = [sorted(rank[photo] for photo in join.pair) for join in torn]
 
     def across(pair: Pair) -> bool:
         first, last = sorted(rank[photo] for photo in pair)
@@ -257,8 +287,8 @@ def without_lookalikes(
     `remap` maps what a database holds. The user is told which photos stood on a wrong side. Raises Cancelled.
     """
     verified = _verified(database, photos)
-    before = _State(models, verified, photos)
-    now, cut = before, set[Pair]()
+    before = now = _State(models, verified, photos)
+    cut: set[Pair] = set()
 
     def without(pairs: set[Pair]) -> _State:
         reporter.check_cancelled()
@@ -266,17 +296,20 @@ def without_lookalikes(
             _copy_without(database, folder / database.name, photos, pairs)
             return _State(remap(folder / database.name), verified, photos)
 
-    doubtful = set(contradicted(before.placed, before.joins, photos))
-    if doubtful:
-        cut = doubtful
+    for _ in range(ROUNDS):
+        doubtful = set(contradicted(now.placed, now.joins, photos)) - cut
+        if not doubtful:
+            break
+        cut |= doubtful
         now = without(cut)
-    if now.tears >= max(FEWEST_TEARS, TEARS * now.followers):
+    if now.tears >= max(FEWEST_TEARS, TEARS * now.strong):
         # The order of capture as the first witness, and the model that it gives as the second.
-        rank = _order_of_capture(photos)
-        others = {join.pair for join in now.joins if not _follow(join, rank)}
-        by_order = without(others)
-        cut = {join.pair for join in by_order.joins if join.pair in others and not _agrees(join, by_order.placed)}
-        now = without(cut)
+        others = {join.pair for join in now.joins} - now.followers
+        chain = without(others)
+        apart = {join.pair for join in chain.joins if join.pair in others and not _agrees(join, chain.placed)}
+        joined = without(apart)
+        if joined.tears < now.tears:
+            now, cut = joined, apart
     if not cut:
         return models
     moved = [photos[i].name for i in _moved(before.placed, now.placed)]
@@ -298,25 +331,21 @@ class _State:
         self.models = models
         self.placed = placed_photos(models, photos)
         self.joins = find_joins(self.placed, verified)
-        rank = _order_of_capture(photos)
-        follow = [join for join in self.joins if _follow(join, rank) and len(join.matches) >= STRONG]
-        self.followers, self.tears = len(follow), sum(join.torn for join in follow)
+        self.followers = _followers(self.joins, photos)
+        strong = [join for join in self.joins if join.pair in self.followers and len(join.matches) >= STRONG]
+        self.strong, self.tears = len(strong), sum(join.torn for join in strong)
 
 
 def _agrees(join: Join, placed: dict[int, Placed]) -> bool:
-    """Whether most of a join's matches lie on each other's epipolar lines in a model."""
-    if not set(join.pair) <= placed.keys():
+    """Whether most of a join's matches are what a model has in their place: not the same one bay on."""
+    if not set(join.pair) <= placed.keys() or placed[join.pair[0]].model != placed[join.pair[1]].model:
         return False
     first, second = (placed[photo] for photo in join.pair)
-    rays = [
-        np.concatenate([photo.camera.cam_from_img(photo.pixels[matches]), np.ones((len(matches), 1))], axis=1)
-        for photo, matches in zip((first, second), join.matches.T, strict=True)
+    off = [
+        np.abs(_seen(there, here.scene[mine]) - there.pixels[other]).max(axis=1) / there.camera.mean_focal_length()
+        for here, there, mine, other in ((first, second, *join.matches.T), (second, first, *join.matches.T[::-1]))
     ]
-    turn = second.rotation @ first.rotation.T
-    shift = second.rotation @ (first.centre - second.centre)
-    lines = np.cross(shift, rays[0] @ turn.T)  # epipolar, in the second photo
-    off = np.abs((lines * rays[1]).sum(1)) / np.maximum(np.linalg.norm(lines[:, :2], axis=1), 1e-12)
-    return first.model == second.model and bool(np.median(off) < OFF_LINE)
+    return bool(np.nanmedian(np.concatenate(off)) < OFF_PLACE)
 
 
 def _verified(database: Path, photos: tuple[Photo, ...]) -> list[tuple[Pair, np.ndarray]]:
