@@ -170,16 +170,24 @@ class TestCopies:
 class TestFilesBesideThePhotos:
     def test_what_cannot_be_read_is_counted_and_told(self, folder: Path) -> None:
         for number in range(12):
-            (folder / f"IMG_{number}.HEIC").write_bytes(b"\0\0\0\x18ftypheic")
-        for name in ("DJI_9.DNG", "DJI_0.DNG", "flight.MP4", "flight.SRT", "notes.txt", "DJI_1.heic"):
+            (folder / f"IMG_{number}.CR2").write_bytes(b"not read")
+        for name in ("IMG.JXL", "DJI_0.DNG", "flight.MP4", "flight.SRT", "notes.txt", "DJI_1.nef"):
             (folder / name).write_bytes(b"not read")
         photo_set, warnings = check(folder)
         assert len(photo_set.photos) == 3
         kinds = [skip["kind"] for skip in describe(photo_set)["skipped"]]
         # DJI_0 and DJI_1 lie there as JPEG, too.
-        assert (kinds.count("HEIC"), kinds.count("raw"), kinds.count("video"), len(kinds)) == (12, 1, 1, 14)
+        assert (kinds.count("raw"), kinds.count("other picture"), kinds.count("video"), len(kinds)) == (12, 1, 1, 14)
         assert len(warnings) == 3
-        assert any("12 HEIC files" in warning and "Export the HEIC photos as JPEG" in warning for warning in warnings)
+        assert any("12 raw files" in warning and "Export the raw photos as JPEG" in warning for warning in warnings)
+
+    def test_a_photo_that_lies_there_as_heic_and_as_jpeg_is_one(self, folder: Path) -> None:
+        save(folder / "DJI_1.heic", 1, exif=exif())
+        save(folder / "DJI_7.HEIC", 7, exif=exif())
+        photo_set, _ = check(folder)
+        assert [photo.name for photo in photo_set.photos] == ["DJI_0.JPG", "DJI_1.JPG", "DJI_2.JPG", "DJI_7.HEIC"]
+        assert describe(photo_set)["skipped"] == []
+        assert photo_set.photos[-1].camera == photo_set.photos[0].camera
 
     @pytest.mark.parametrize("behind", [b"\xff\xda" * 5000, b"\0\0\0\x1cftypmp42" + bytes(range(256)) * 200])
     def test_a_video_behind_a_photo_s_end(self, folder: Path, behind: bytes) -> None:

@@ -63,7 +63,7 @@ class TestFoldersThatCannotBeUsed:
 
     def test_too_few_says_which_were_left_out_and_why(self, folder: Path) -> None:
         (folder / "DJI_1.JPG").write_text("this is no picture")
-        with pytest.raises(PhotoError, match=r"only 2 usable photos.*DJI_1\.JPG is not a JPEG, PNG or TIFF picture"):
+        with pytest.raises(PhotoError, match=r"only 2 usable photos.*DJI_1\.JPG is not a JPEG, PNG"):
             check(folder)
 
     def test_memory_that_all_photos_were_refused_is_not_blamed_on_them(
@@ -87,11 +87,11 @@ class TestBadPhotosAreLeftOut:
         assert re.search(reason, skip.reason)
         assert any(skip.reason in warning for warning in warnings)
 
-    @pytest.mark.parametrize("suffix", [".jpg", ".png", ".tif"])
+    @pytest.mark.parametrize("suffix", [".jpg", ".png", ".tif", ".heic"])
     def test_truncated(self, folder: Path, suffix: str) -> None:
         bad = save(folder / f"cut{suffix}", 7)
         bad.write_bytes(bad.read_bytes()[: bad.stat().st_size * 2 // 3])
-        self.assert_left_out(folder, bad, rf"cut\{suffix} is (damaged or cut short|not a JPEG, PNG or TIFF)")
+        self.assert_left_out(folder, bad, rf"cut\{suffix} is (damaged or cut short|not a JPEG, PNG, TIFF or HEIC)")
 
     def test_truncation_is_found_when_reading_scaled_down(self, tmp_path: Path) -> None:
         bad = tmp_path / "big.jpg"

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pillow_heif
 import pytest
 from little_photos import HEIGHT, WIDTH, exif, save, scene
 from PIL import Image, ImageCms
@@ -39,6 +40,19 @@ class TestReadingPixels:
             picture.putalpha(100)
         picture.save(tmp_path / f"x{suffix}")
         self.assert_same(tmp_path / f"x{suffix}", expected, tolerance)
+
+    @pytest.mark.parametrize("turn", [1, 3, 6, 8])
+    def test_heic_of_8_and_10_bits_in_any_orientation(self, tmp_path: Path, turn: int) -> None:
+        expected = cv2.GaussianBlur(scene(1), (0, 0), 4)
+        tags = Image.Exif()
+        tags[0x0112] = turn
+        Image.fromarray(expected).save(tmp_path / "x.heic", exif=tags.tobytes(), quality=90)
+        upright = np.rot90(expected, {1: 0, 3: 2, 6: 3, 8: 1}[turn])
+        self.assert_same(tmp_path / "x.heic", upright, 4)
+        deep = pillow_heif.encode  # the plugin's own writer, for what Pillow's pictures cannot hold
+        deep("RGB;16", expected.shape[1::-1], (expected.astype(np.uint16) * 257).tobytes(), tmp_path / "deep.heic",
+             quality=90, bit_depth=10)
+        self.assert_same(tmp_path / "deep.heic", expected, 4)
 
     @pytest.mark.parametrize("suffix", [".jpg", ".png", ".tif"])
     def test_grey(self, tmp_path: Path, suffix: str) -> None:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The one path by which pictures are read and written: any JPEG, PNG or TIFF in, upright 8-bit sRGB out."""
+"""The one path by which pictures are read and written: any JPEG, PNG, TIFF or HEIC in, upright 8-bit sRGB out."""
 
 from __future__ import annotations
 
@@ -17,12 +17,14 @@ from typing import Any
 
 import cv2
 import numpy as np
+import pillow_heif
 from PIL import Image, ImageCms, UnidentifiedImageError
 
 from .errors import PhotoError, ran_out_of_memory
 from .files import atomic_write
 
-SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
+HEIC_SUFFIXES = (".heic", ".heif", ".hif")
+SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", *HEIC_SUFFIXES)
 MAX_PIXELS = 500_000_000  # four times the largest drone and phone cameras; above it a header is more likely damaged
 # A file of a few kilobytes can unpack to gigabytes. No photo is packed that tightly: a black one has 100 pixels a byte.
 BOMB_PIXELS, BOMB_PIXELS_PER_BYTE = 50_000_000, 250
@@ -32,6 +34,7 @@ DECODING_MEMORY = 6 << 30  # bytes for all that are read at the same time
 
 # Pillow refuses pictures above 179 megapixels, as decompression bombs; MAX_PIXELS takes its place.
 Image.MAX_IMAGE_PIXELS = None
+pillow_heif.register_heif_opener(thumbnails=False)
 # Pillow remarks on every odd tag on stderr; what matters of it comes back as an error or as a missing value.
 warnings.filterwarnings("ignore", module=r"PIL\.")
 
@@ -68,12 +71,13 @@ def readers(pixels: int, most: int) -> int:
 
 @contextmanager
 def open_image(path: Path) -> Iterator[Image.Image]:
-    """Open a JPEG, PNG or TIFF, whatever its suffix says, without decoding it. Raises PhotoError as `read_rgb` does."""
+    """Open a JPEG, PNG, TIFF or HEIC, whatever its suffix says, without decoding it. Raises PhotoError as `read_rgb`
+    does."""
     with ExitStack() as stack:
         with _photo_errors(path):
             # Opened by Python, not by OpenCV, which cannot open every name on Windows.
             file = stack.enter_context(open(path, "rb"))
-            image = Image.open(file, formats=("JPEG", "PNG", "TIFF"))
+            image = Image.open(file, formats=("JPEG", "PNG", "TIFF", "HEIF"))
             size, pixels = os.fstat(file.fileno()).st_size, image.width * image.height
         if pixels > MAX_PIXELS:
             raise PhotoError(
@@ -173,8 +177,8 @@ def _photo_errors(path: Path) -> Iterator[None]:
         ) from error
     except UnidentifiedImageError as error:
         raise PhotoError(
-            f"{shown(path)} is not a JPEG, PNG or TIFF picture.", remedy="Leave it out, or export it again as JPEG.",
-            path=path,
+            f"{shown(path)} is not a JPEG, PNG, TIFF or HEIC picture.",
+            remedy="Leave it out, or export it again as JPEG.", path=path,
         ) from error
     except (MemoryError, *_DAMAGE) as error:
         if ran_out_of_memory(error):  # decoders tell it as damage, too

@@ -18,30 +18,30 @@ CARD = "dcim"  # a memory card's folder of folders of photos
 _DEEPEST, _MOST_FOLDERS = 5, 2000  # of a search for the nearest folder with photos
 _OTHER_KINDS = {
     **dict.fromkeys((".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw", ".x3f"), "raw"),
-    **dict.fromkeys((".heic", ".heif", ".hif"), "HEIC"),
     **dict.fromkeys((".webp", ".avif", ".jxl", ".bmp", ".jp2"), "other picture"),
     **dict.fromkeys((".mp4", ".mov", ".avi", ".mts", ".mkv", ".insv"), "video"),
 }
 _REMEDIES = {
-    "raw": "Export the raw photos as JPEG.", "HEIC": "Export the HEIC photos as JPEG.",
-    "other picture": "Export them as JPEG.", "video": "Save still frames of the video as JPEG.",
+    "raw": "Export the raw photos as JPEG.", "other picture": "Export them as JPEG.",
+    "video": "Save still frames of the video as JPEG.",
 }
 
 
 @dataclass(frozen=True)
 class Files:
-    """`pictures` are JPEG, PNG and TIFF files, `others` all else, both in natural order of names."""
+    """`pictures` are JPEG, PNG, TIFF and HEIC files, `others` all else, both in natural order of names. A HEIC beside a
+    picture of the same name is the same photo, and one of the others."""
 
     pictures: list[Path]
     others: list[Path]
 
     def unreadable(self) -> dict[str, list[SkippedPhoto]]:
         """Photos and videos that cannot be read, by kind; not those that lie beside a picture of the same name."""
-        twins = {path.with_suffix("").as_posix().casefold() for path in self.pictures}
+        twins = {_without_suffix(path) for path in self.pictures}
         found: dict[str, list[SkippedPhoto]] = {}
         for path in self.others:
             kind = _OTHER_KINDS.get(path.suffix.lower())
-            if kind is not None and path.with_suffix("").as_posix().casefold() not in twins and images.is_text(path):
+            if kind is not None and _without_suffix(path) not in twins and images.is_text(path):
                 what = "is a video" if kind == "video" else f"is a {path.suffix[1:].upper()} file"
                 reason = f"{images.shown(path)} {what}, which is not read here."
                 found.setdefault(kind, []).append(SkippedPhoto(path=path, reason=reason, kind=kind))
@@ -80,10 +80,17 @@ def find_files(source: Path) -> Files:
         for folder in (source, *sorted(folders, key=lambda folder: _natural(folder.relative_to(source).as_posix())))
         for path in sorted(_visible(folder, folders=False), key=lambda path: _natural(path.name))
     ]
-    pictures = [path for path in files if path.suffix.lower() in images.SUFFIXES]
-    if not pictures:
+    found = [path for path in files if path.suffix.lower() in images.SUFFIXES]
+    if not found:
         raise _none_found(source, files)
-    return Files(pictures, [path for path in files if path.suffix.lower() not in images.SUFFIXES])
+    plain = {_without_suffix(path) for path in found if path.suffix.lower() not in images.HEIC_SUFFIXES}
+    pictures = [path for path in found
+                if path.suffix.lower() not in images.HEIC_SUFFIXES or _without_suffix(path) not in plain]
+    return Files(pictures, sorted(set(files) - set(pictures), key=files.index))
+
+
+def _without_suffix(path: Path) -> str:
+    return path.with_suffix("").as_posix().casefold()
 
 
 def _visible(folder: Path, *, folders: bool) -> list[Path]:
@@ -120,7 +127,8 @@ def _none_found(source: Path, files: list[Path]) -> PhotoError:
     found = listed([f"{count} {kind.upper() if kind[0] == '.' else kind}" for kind, count in kinds.most_common()])
     remedy = " ".join(_REMEDIES[kind] for kind in known) or choose
     return PhotoError(
-        f"There are no JPEG, PNG or TIFF photos in {source}, only other files: {found}.", remedy=remedy, path=source
+        f"There are no JPEG, PNG, TIFF or HEIC photos in {source}, only other files: {found}.", remedy=remedy,
+        path=source,
     )
 
 

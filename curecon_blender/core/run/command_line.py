@@ -60,7 +60,7 @@ def parser() -> argparse.ArgumentParser:
         return added
 
     run = command(RUN, "photos to cloud; run it again to go on or to do nothing")
-    run.add_argument("photos", type=Path, help="folder of photos (JPEG, PNG, TIFF)")
+    run.add_argument("photos", type=Path, help="folder of photos (JPEG, PNG, TIFF, HEIC)")
     run.add_argument("--workspace", type=Path, required=True, help="folder for everything that is made")
     run.add_argument("--until", choices=STAGES, default=Options.until, help="stop after this stage")
     surface = command(SURFACE, "mesh and texture of a workspace whose cloud is finished")

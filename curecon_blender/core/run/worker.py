@@ -27,7 +27,8 @@ from ..base.messages import Message, Reporter
 from ..base.options import CONTROL, PLAN
 from .command_line import options_of, parser
 
-LIBRARIES = ("numpy", "PIL", "psutil", "cv2", "safetensors", "scipy", "torch", "pycolmap", "xatlas", "numba")
+LIBRARIES = ("numpy", "PIL", "pillow_heif", "psutil", "cv2", "safetensors", "scipy", "torch", "pycolmap", "xatlas",
+             "numba")
 REQUIREMENTS = Path(__file__).resolve().parents[2] / "requirements.txt"
 PLAIN_LINE_EVERY = 10.0  # seconds between progress lines in a pipe
 ORPHAN_GRACE = 3.0  # seconds a worker may take to stop by itself once its parent is gone; a restart waits for it
