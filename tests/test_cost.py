@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from curecon_blender.core.base import images
+from curecon_blender.core.base import images, messages
 from curecon_blender.core.base.messages import Reporter
 from curecon_blender.core.base.options import PRESETS, STAGES, Options
 from curecon_blender.core.base.records import GeoPosition, Photo
@@ -166,3 +166,16 @@ def test_many_cores_do_not_read_huge_photos_all_at_once(tmp_path: Path, monkeypa
     monkeypatch.setattr(cost, "threads", lambda: 16)
     options = Options(photos=None, workspace=tmp_path, quality="preview", memory_gib=2.0)
     assert predict(site(20, 11664, 8750), options)["memory_gib"] < 8
+
+
+def test_a_short_stage_that_lags_does_not_make_a_long_one_endless(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, told = [0.0], []
+    monkeypatch.setattr(messages.time, "monotonic", lambda: clock[0])
+    reporter = messages.Reporter(told.append)
+    reporter.begin({"sparse": 100.0, "views": 1.0, "depth": 1000.0})
+    for stage, seconds in (("sparse", 110.0), ("views", 30.0)):
+        reporter.stage(stage)
+        for done in range(1, 11):
+            clock[0] += seconds / 10
+            reporter.progress(done, 10)
+    assert told[-1].eta == pytest.approx(1000 * 140 / 101, rel=0.01)

@@ -34,6 +34,7 @@ from . import (
     presets,
     reconstruct,
     self_check,
+    take_frames,
 )
 
 CLASSES: tuple[type, ...] = (
@@ -44,7 +45,7 @@ CLASSES: tuple[type, ...] = (
     *frame_scale.CLASSES, *frame_level.CLASSES, *frame_north.CLASSES, *frame_ground.CLASSES, *frame_reset.CLASSES,
     *frame_position.CLASSES, *measure.CLASSES,
     *control_points.CLASSES, *mark_points.CLASSES,
-    *plan_flight.CLASSES, *cloud_points.CLASSES, *self_check.CLASSES,
+    *plan_flight.CLASSES, *take_frames.CLASSES, *cloud_points.CLASSES, *self_check.CLASSES,
 )
 
 

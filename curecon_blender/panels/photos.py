@@ -8,6 +8,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from .. import thumbnails
+from ..core.base.options import VIDEO_SUFFIXES
 from ..languages import translated
 from ..operators import running
 from .layout import Panel, action, counted, draw_outcome, draw_progress, paragraph
@@ -53,6 +54,10 @@ class CURECON_PT_photos(Panel, bpy.types.Panel):
             action(layout, "curecon.check_photos", icon="VIEWZOOM")
         if ours and status.failure is not None:
             draw_outcome(layout, context, status)
+        refused = ours and status.failure is not None and status.failure.kind == "photos"
+        filmed = any(file.name.lower().endswith(VIDEO_SUFFIXES) for file in properties.check.skipped)
+        if not status.running and (filmed or refused):
+            layout.operator("curecon.take_frames", icon="FILE_MOVIE")
 
     def _draw_check(self, context: bpy.types.Context, check: bpy.types.PropertyGroup) -> None:
         box = self.layout.box()

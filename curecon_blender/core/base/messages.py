@@ -104,6 +104,7 @@ class Reporter:
         self._overall = 0.0
         self._started = time.monotonic()
         self._fresh_from = 0
+        self._whole: dict[str, float] = {}  # seconds that each stage takes, as far as this run has shown
         self.resumed = False  # whether part of the stage was found finished from an earlier run
         self.warnings: list[str] = []
 
@@ -137,8 +138,10 @@ class Reporter:
         if left is None and done > self._fresh_from:
             left = elapsed / (done - self._fresh_from) * (total - done)
         if left is not None:
-            whole = (elapsed + left) * total / max(total - self._fresh_from, 1)  # as if nothing had been found finished
-            eta = left + whole * sum(weights[index + 1 :]) / weights[index]
+            # As if nothing had been found finished.
+            self._whole[self._stage] = (elapsed + left) * total / max(total - self._fresh_from, 1)
+            shown = sum(self._weights.get(stage, 0.0) for stage in self._whole)
+            eta = left + sum(self._whole.values()) * sum(weights[index + 1 :]) / shown
         self._sink(Progress(stage=self._stage, done=done, total=total, overall=self._overall, eta=eta))
 
     def warning(self, text: str, photo: str | None = None) -> None:

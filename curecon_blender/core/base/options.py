@@ -41,7 +41,9 @@ PRESETS = {
 
 # The worker's commands.
 RUN, SURFACE, CHECK, REPORT = "reconstruct", "surface", "check", "report"
-CONTROL, PLAN, SELF_CHECK = "control", "plan", "self-check"
+CONTROL, PLAN, FRAMES, SELF_CHECK = "control", "plan", "frames", "self-check"
+
+VIDEO_SUFFIXES = (".mp4", ".mov")  # that frames are taken of
 
 # Coded targets as OpenCV's aruco module calls them, the most usual first.
 DICTIONARIES = ("4X4_50", "4X4_1000", "5X5_1000", "6X6_1000", "7X7_1000", "ARUCO_ORIGINAL", "APRILTAG_36h11")

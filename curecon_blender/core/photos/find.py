@@ -12,6 +12,7 @@ from pathlib import Path
 from ..base import images
 from ..base.errors import PhotoError
 from ..base.files import JOB_FOLDERS, PRESENTATION
+from ..base.options import VIDEO_SUFFIXES
 from ..base.records import SkippedPhoto
 
 CARD = "dcim"  # a memory card's folder of folders of photos
@@ -19,11 +20,11 @@ _DEEPEST, _MOST_FOLDERS = 5, 2000  # of a search for the nearest folder with pho
 _OTHER_KINDS = {
     **dict.fromkeys((".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw", ".x3f"), "raw"),
     **dict.fromkeys((".webp", ".avif", ".jxl", ".bmp", ".jp2"), "other picture"),
-    **dict.fromkeys((".mp4", ".mov", ".avi", ".mts", ".mkv", ".insv"), "video"),
+    **dict.fromkeys((*VIDEO_SUFFIXES, ".avi", ".mts", ".mkv", ".insv"), "video"),
 }
 _REMEDIES = {
     "raw": "Export the raw photos as JPEG.", "other picture": "Export them as JPEG.",
-    "video": "Save still frames of the video as JPEG.",
+    "video": "Take photos from MP4 and MOV with Frames from Video; save frames of others as JPEG.",
 }
 
 
@@ -87,6 +88,14 @@ def find_files(source: Path) -> Files:
     pictures = [path for path in found
                 if path.suffix.lower() not in images.HEIC_SUFFIXES or _without_suffix(path) not in plain]
     return Files(pictures, sorted(set(files) - set(pictures), key=files.index))
+
+
+def find_videos(source: Path) -> list[Path]:
+    """The videos in `source` and one level below it. Raises PhotoError where it is no folder."""
+    if not source.is_dir():
+        raise PhotoError(f"The folder {source} does not exist.", remedy="Choose the folder of the photos.", path=source)
+    return [path for folder in (source, *_visible(source, folders=True)) for path in _visible(folder, folders=False)
+            if path.suffix.lower() in VIDEO_SUFFIXES and images.is_text(path)]
 
 
 def _without_suffix(path: Path) -> str:

@@ -14,6 +14,7 @@ from ..base.options import (
     CHECK,
     CONTROL,
     DICTIONARIES,
+    FRAMES,
     PLAN,
     REPORT,
     RUN,
@@ -84,6 +85,8 @@ def parser() -> argparse.ArgumentParser:
     report = command(REPORT, "clearness, accuracy, integrity and authenticity of a workspace, as PDF, HTML and JSON")
     report.add_argument("workspace", type=Path)
     report.add_argument("--by", default="", help="who made the record")
+    frames = command(FRAMES, "photos from the videos (MP4, MOV) in a folder, each into a folder beside it")
+    frames.add_argument("photos", type=Path, help="folder with the videos")
     _plan(command(PLAN, "a flight for a building, before there are photos: page, DJI and Litchi missions, KML, GPX"))
     command(SELF_CHECK, "reconstruct synthetic views, and say what this computer has")
     return main

@@ -24,7 +24,7 @@ from typing import TextIO
 from ..base import messages
 from ..base.errors import CuReconError, OutOfMemory, SetupError, ran_out_of_memory
 from ..base.messages import Message, Reporter
-from ..base.options import CONTROL, PLAN
+from ..base.options import CONTROL, FRAMES, PLAN
 from .command_line import options_of, parser
 
 LIBRARIES = ("numpy", "PIL", "pillow_heif", "psutil", "cv2", "safetensors", "scipy", "torch", "pycolmap", "xatlas",
@@ -88,6 +88,12 @@ def _run(options: argparse.Namespace, reporter: Reporter) -> dict[str, object]:
 
         return run_control(options.workspace, options.imported, options.system, options.find_targets,
                            options.dictionary, options.export, reporter)
+    if options.command == FRAMES:
+        from ..photos.video import take_frames
+
+        reporter.begin({"photos": 1.0})
+        reporter.stage("photos")
+        return {"frames": take_frames(options.photos.absolute(), reporter), "warnings": reporter.warnings}
     if options.command == PLAN:
         from .plan import run_plan
 
