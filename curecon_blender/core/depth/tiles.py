@@ -13,6 +13,7 @@ import torch
 
 from ..base import memory
 from ..base.errors import DeviceError
+from ..base.images import DECODING_BYTES
 from ..base.options import Options
 from ..base.records import View
 from ..network.model import MAX_HYPOTHESES, MIN_HYPOTHESES, MULTIPLE
@@ -22,6 +23,8 @@ SOURCE_MARGIN = 32  # pixels of context kept around what a tile can see in a sou
 # Peak memory of one tile, measured on a CPU (benchmarks/depth.py): fixed, per pixel of the tile, and per pixel of
 # each of its sources.
 BASE_BYTES = 500 << 20
+# Per pixel of the whole photo: it is decoded for each of its regions, and its depth and confidence are kept.
+PHOTO_BYTES, PHOTO_SHARE = DECODING_BYTES + 6, 0.25  # but no more than this share of a small budget
 LEAST_BUDGET = BASE_BYTES + (400 << 20)  # of the whole stage: one small tile
 BYTES_PER_HYPOTHESIS = 60  # and pixel of the photo
 BYTES_PER_SOURCE_PIXEL = 64
@@ -77,9 +80,10 @@ def plan_tiles(view: View, sources: list[View], hypotheses: int, budget: int) ->
     level and what they see of the sources. `sources` are by falling score: where all are too much even for a small
     tile, it goes without the last of them that do not fit. Raises DeviceError when not even a small tile fits."""
     plans: list[TilePlan] = []
+    left = budget - BASE_BYTES - min(PHOTO_BYTES * view.width * view.height, int(PHOTO_SHARE * budget))
     for tiles in _divisions(view.width, view.height):
         own = _area(tiles[0]) * bytes_per_pixel(hypotheses)
-        pixels = (budget - BASE_BYTES - own) // BYTES_PER_SOURCE_PIXEL  # that are left for sources
+        pixels = (left - own) // BYTES_PER_SOURCE_PIXEL  # that are left for sources
         if pixels < len(sources) * _area(tiles[0]):
             continue
         whole = [TilePlan(tile, tuple(seen_regions(view, tile, sources))) for tile in tiles]
