@@ -26,6 +26,7 @@ class Settings:
     scheduler: str = ""
     cache: Path | None = None
     sound: bool = False
+    made_by: str = ""
 
     @property
     def import_paths(self) -> list[Path]:
@@ -48,4 +49,5 @@ def settings(context: bpy.types.Context) -> Settings:
         worker_python=Path(bpy.path.abspath(preferences.worker_python or sys.executable)),
         scheduler=preferences.scheduler.strip(),
         cache=Path(bpy.path.abspath(preferences.cache)) if preferences.cache else None, sound=preferences.sound,
+        made_by=preferences.made_by.strip(),
     )

@@ -25,9 +25,9 @@ ROOT = Path(__file__).resolve().parent.parent
 ADDON = ROOT / "curecon_blender"
 sys.path.insert(0, str(ROOT))
 
-# For the command line, for developers, or with words of its own: the accuracy report, the plan on paper.
-ENGLISH = {"core/report", "core/plan/page.py", "core/plan/files.py", "core/run/command_line.py",
-           "core/base/options.py", "core/__main__.py"}
+# For the command line, for developers, or with words of its own: the plan on paper.
+ENGLISH = {"core/plan/page.py", "core/plan/files.py", "core/run/command_line.py", "core/base/options.py",
+           "core/__main__.py"}
 FOR_DEVELOPERS = {"diagnostics", "described"}  # functions whose text is sent to the developers
 SENTENCE = re.compile(
     r"[A-Za-z]{2,}[,.:;)'\"]* +[(\"]?[A-Za-z{]|[}a-z)][.:;]? [a-z]{2,}|^ ?[A-Z][a-z]+[a-z ]*(: | \{\}|\.)"
@@ -37,7 +37,7 @@ NO_WORDS = re.compile(  # shaders, SQL, file formats, columns of tables, what ot
     r"[\n<>|\\]|^#|void main|PRAGMA|^format |^property |^comment |red green blue|\bK[ads] \d|%[sd]|^end_|^element "
     r"|sigma|ylat|xlong|easting|northing|ellipsoidh|^role type|nx ny|newmtl|map_Kd|filename|pointid|^px |^py "
     r"|^\{\} Depth from|^CU-Recon [A-Zl]|^warning: |^UTM |^Unique name|^\{\} mm$|^not a worker|^shift "
-    r"|^(DJI|Autel|Parrot|Skydio) |^(ATTACH|INSERT|DELETE|SELECT) "
+    r"|^(DJI|Autel|Parrot|Skydio) |^(ATTACH|INSERT|DELETE|SELECT) |^CU-Recon \{|\.(ttf|woff2)$"
 )
 # Functions that translate or show what they are given, arguments that are shown, variables that hold single words.
 TRANSLATING = {"iface_", "rpt_", "n_", "pgettext_iface", "pgettext_rpt", "pgettext_n", "counted", "poll_message_set",
@@ -86,6 +86,10 @@ class _Texts(ast.NodeVisitor):
             self._within(node.args, shown=self._shown)
             return
         self.visit(node.func)
+        if name == "Text":  # what follows are the values
+            self._within(node.args[:1], shown=True)
+            self._within(node.args[1:], shown=False)
+            return
         added = name == "append" and isinstance(node.func.value, ast.Name) and node.func.value.id in WORDS
         self._within(node.args, shown=added or name in TRANSLATING or name.endswith("Error"))
         for keyword in node.keywords:
@@ -211,7 +215,7 @@ def shown_by_blender() -> dict[str, str]:
 
 def faults(translations: dict[str, str], wanted: dict[str, str]) -> list[str]:
     """What is wrong with a language, a line each."""
-    from curecon_blender.languages.catalogue import values
+    from curecon_blender.core.base.language import values
 
     lines = [f"missing ({where}): {text!r}" for text, where in wanted.items() if not translations.get(text)]
     lines += [f"stale: {text!r}" for text in translations if text not in wanted]
@@ -220,9 +224,9 @@ def faults(translations: dict[str, str], wanted: dict[str, str]) -> list[str]:
 
 
 def everything() -> dict[str, str]:
-    from curecon_blender.languages.catalogue import JOINTS
+    from curecon_blender.core.base.language import JOINTS
 
-    return shown_by_blender() | messages() | dict.fromkeys(JOINTS, "languages/catalogue.py")
+    return shown_by_blender() | messages() | dict.fromkeys(JOINTS, "core/base/language.py")
 
 
 def main() -> int:

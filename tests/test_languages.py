@@ -19,10 +19,10 @@ from curecon_blender.core.adjust import control_files
 from curecon_blender.core.adjust.control import ControlSet
 from curecon_blender.core.base import images
 from curecon_blender.core.base.errors import CuReconError
+from curecon_blender.core.base.language import Language, Text, load, values
 from curecon_blender.core.photos.find import find_photos
 from curecon_blender.core.site.adjustment import Adjustment, with_length
 from curecon_blender.job import duration
-from curecon_blender.languages.catalogue import Language, load, values
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.append(str(ROOT / "scripts"))
@@ -109,3 +109,12 @@ def test_a_picture_of_16_bits_is_no_word(tmp_path: Path) -> None:
     with pytest.raises(CuReconError) as caught:
         images.read_rgb(tmp_path / "a.tif")
     assert "浮点" in CHINESE.translated(caught.value.message)
+
+
+def test_a_text_is_translated_by_its_message_and_keeps_names() -> None:
+    words = Language({"{} of the {}": "{1}的 {0}", "walls": "墙面", " and ": "和", ". ": "。"})
+    text = Text("{} of the {}", "walls", Text("walls"))
+    assert text == "walls of the walls" and words.said(text) == "墙面的 walls"
+    assert words.said(Text("{} and {}", Text("walls"), "{}")) == "墙面和{}"  # put together of what is known
+    assert words.said("walls") == "walls"  # a name
+    assert words.joined([Text("walls"), "x"]) == "墙面x" and Language({}).joined([text, text]) == f"{text} {text}"

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import json
 import shutil
 from pathlib import Path
@@ -14,21 +15,33 @@ import pytest
 from conftest import Run, curecon
 from PIL import Image
 
+from curecon_blender.core.adjust.record import PointResidual
+from curecon_blender.core.base import language
 from curecon_blender.core.base.errors import WorkspaceError
+from curecon_blender.core.base.language import Text
+from curecon_blender.core.base.records import Frame
 from curecon_blender.core.cloud.ply import Cloud
-from curecon_blender.core.report.figures import (
+from curecon_blender.core.report.document import Section, Table, length
+from curecon_blender.core.report.figures import Residuals
+from curecon_blender.core.report.fonts import LATIN, letters_of
+from curecon_blender.core.report.measure import (
     GROUND,
     ROOFS,
     WALLS,
+    Standing,
     kinds_of_surface,
     seen_well,
+    sigma_shown,
     supported_scale,
     texel_size,
 )
-from curecon_blender.core.report.sections import length
+from curecon_blender.core.report.pages import write_html, write_pdf
+from curecon_blender.core.report.provenance import site_name
+from curecon_blender.core.report.tables import points_table
 from curecon_blender.core.surface.mesh import Mesh, read_mesh
 
-WORDS = ("Clearness", "Accuracy", "Integrity", "Authenticity", "Provenance")
+CHINESE = language.of_name("zh_HANS")
+WORDS = ("Survey", "Clearness", "Accuracy", "Integrity", "Authenticity", "Provenance")
 
 
 def test_the_report_tells_what_the_workspace_holds(
@@ -37,7 +50,7 @@ def test_the_report_tells_what_the_workspace_holds(
     workspace = tmp_path / "tulou"
     shutil.copytree(textured[0], workspace)
     lost = sorted(site_photos.glob("*.JPG"))[0].name
-    done = curecon("report", workspace, "--by", "A. Surveyor <a@b>")
+    done = curecon("report", workspace, "--by", "A. Surveyor <a@b>", "--name", "Eryi & \"Lou\"")
     assert done.code == 0, done.said
     files = done.summary["report"]
     told = json.loads(Path(files["json"]).read_text(encoding="utf-8"))
@@ -56,11 +69,19 @@ def test_the_report_tells_what_the_workspace_holds(
     assert 0.3 < part["integrity"]["seen_well"] <= 1
     assert part["correctness"]["metres"] and part["correctness"]["gps"]["count"] == len(photos)
     assert provenance["settings"]["quality"] and len(provenance["weights"]) == 64
+    assert all(provenance["settings"].values()) and "max_faces" not in provenance["settings"]  # what was not set
+    survey, lens = part["survey"], part["correctness"]["lenses"][0]
+    assert survey["cameras"][0]["photos"] == len(photos) and 20 < survey["above"] < 80
+    assert survey["tied"]["observations"] > 2 * survey["tied"]["points"] > 0
+    assert lens["found"]["values"][0] == pytest.approx(lens["found"]["known"][0], rel=0.02) and 0 < lens["rms"] < 2
+    # Photos are in the texture, so it must be like them; a shuffled one would stay below 12 dB.
+    assert 15 < part["authenticity"]["likeness"]["median"] < 40 and part["authenticity"]["compared"] > 5
 
     page = Path(files["html"]).read_text(encoding="utf-8")
     assert all(f"<h2>{word}</h2>" in page for word in WORDS)
     assert "A. Surveyor &lt;a@b&gt;" in page and "<a@b>" not in page  # text from outside stays text
-    assert page.count("<img ") == 4 and "http" not in page.replace("http-equiv", "")
+    assert "<title>Accuracy report: Eryi &amp; &quot;Lou&quot;</title>" in page
+    assert page.count("<img ") == 8 and "http" not in page.replace("http-equiv", "")
     pdf = Path(files["pdf"]).read_bytes()
     assert pdf.startswith(b"%PDF") and pdf.count(b"/Type /Page\n") >= 2
 
@@ -148,3 +169,80 @@ def test_the_size_of_a_texel(tmp_path: Path) -> None:
 def test_lengths_are_said_as_people_say_them() -> None:
     assert [length(value, metres=True) for value in (0.0093, 0.35, 12)] == ["9.3 mm", "350 mm", "12.00 m"]
     assert length(0.5, metres=False) == "0.5 units"
+
+
+def test_each_kind_of_points_has_a_table_of_its_own() -> None:
+    off = tuple(PointResidual(name=name, off=(0.03, 0.04, up), marks=4, pixels=0.5)
+                for name, up in (("P1", 0.1), ("P2", -0.1)))
+    table = points_table(Text("Check points, which took no part"), Residuals(count=2, rms=(0.03, 0.04, 0.1), of=off))
+    assert table is not None and [row[0] for row in table.rows] == ["P1", "P2"]
+    assert table.total == ("RMS", "0.030", "0.040", "0.100", "0.050", "", "")
+    assert points_table(Text("Control points, which hold the site"), None) is None
+
+
+def test_check_points_overrule_what_the_adjustment_says_of_itself() -> None:
+    def points(*ups: float) -> Residuals:
+        of = tuple(PointResidual(name=str(up), off=(5.0, 0.0, up), marks=3, pixels=1.0) for up in ups)
+        return Residuals(count=len(of), rms=(5.0, 0.0, 1.0), of=of)
+
+    assert sigma_shown(None) == 0
+    assert sigma_shown(points(0.2, -0.2, 0.2, -0.2)) == pytest.approx(0.23, abs=0.01)  # all are shifted by 5 m
+    assert sigma_shown(points(0.2, -0.2)) == 5.0  # too few to tell
+
+
+def test_a_site_that_was_scaled_since_is_told_as_it_stands() -> None:
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[2, 3] = 2 * turn, 7
+    standing = Standing(Frame(scale="metres", up="measured"), matrix)
+    cloud = flat_cloud([3] * 4)
+    cloud.sigmas[:] = [0.01, 0.02, 0.03]
+    moved = standing.cloud(cloud)
+    assert standing.scale == pytest.approx(2)
+    assert np.allclose(moved.points[3], [0, 6, 7]) and np.allclose(moved.sigmas[0], [0.04, 0.02, 0.06])
+    assert np.allclose(moved.normals, [0, 0, 1])
+
+
+@pytest.mark.parametrize(("folders", "name"), [
+    (["Eryi_Lou"], "Eryi Lou"), (["二宜楼", "DCIM", "100MEDIA"], "二宜楼"), (["villa", "photos"], "villa"),
+    (["site_curecon"], "site"),
+])
+def test_a_site_is_called_after_its_photos_folder(folders: list[str], name: str) -> None:
+    folder = Path("/").joinpath("home", *folders)
+    assert site_name([folder / "a.jpg", folder / "b.jpg"], Path("/home/workspace")) == name
+
+
+def test_names_are_safe_in_both_and_stay_as_they_are_in_another_language(tmp_path: Path) -> None:
+    name = "<b>Ground</b> & \"walls\" {0}"
+    scale = Text("1:{} ({})", "50", Text("walls"))
+    section = Section(
+        title=Text("Clearness"), sentences=(Text("Drawings are supported up to {}.", name),),
+        rows=((Text("Site"), name), (Text("Heights"), Text("Drawings are supported up to {}.", scale))),
+        tables=(Table(title=Text("Photos"), head=(Text("Photo"), "SHA-256"), rows=((name, "ground"),)),),
+    )
+    letters = letters_of(set(LATIN), None)
+    assert not letters.lacks
+    write_html(tmp_path / "a.html", name, "", [section], CHINESE)
+    page = (tmp_path / "a.html").read_text(encoding="utf-8")
+    assert "<b>" not in page and page.count("&lt;b&gt;Ground&lt;/b&gt; &amp; &quot;walls&quot; {0}") == 5
+    assert 'lang="zh-HANS"' in page and "<h2>清晰性</h2>" in page and "1:50 (墙面)" in page and ">ground<" in page
+    write_pdf(tmp_path / "a.pdf", name, "", [section], CHINESE, letters)
+    assert b"/FontFile2" in (tmp_path / "a.pdf").read_bytes()  # the letters go with it
+
+
+def test_blenders_font_gives_its_chinese_letters_to_the_pdf(tmp_path: Path) -> None:
+    spec = importlib.util.find_spec("bpy")
+    if spec is None or spec.origin is None:
+        pytest.skip("bpy, which has the font, is not installed in this Python")
+    (font,) = Path(spec.origin).parent.glob("*/datafiles/fonts/Noto Sans CJK Regular.woff2")
+    letters = letters_of(set("二宜楼 A\U0001f600"), font)
+    assert letters.lacks == "\U0001f600"  # no such in it, and told
+    box = letters.sized(40)
+    assert box.getmask("二").getbbox() != box.getmask("宜").getbbox()
+    assert len(letters.content) < 20_000  # cut down to these
+    section = Section(title=Text("Accuracy"), sentences=())
+    write_pdf(tmp_path / "a.pdf", "二宜楼", "", [section], CHINESE, letters)
+    assert b"/FontFile2" in (tmp_path / "a.pdf").read_bytes()
+    (tmp_path / "no.ttf").write_bytes(b"no font")
+    with pytest.raises(WorkspaceError, match="no font"):
+        letters_of({"a"}, tmp_path / "no.ttf")

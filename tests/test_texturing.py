@@ -18,8 +18,8 @@ from curecon_blender.core.base.errors import WorkspaceError
 from curecon_blender.core.base.messages import Reporter
 from curecon_blender.core.base.records import Component
 from curecon_blender.core.surface.mesh import Mesh, read_mesh, write_mesh
+from curecon_blender.core.texture.rendering import render
 from curecon_blender.core.texture.texture import TextureError, TextureOptions, colour_vertices, texture_mesh
-from evaluation.texture import render
 from tests import box_scene
 
 OPTIONS = TextureOptions(page_size=512)

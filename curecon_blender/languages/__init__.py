@@ -7,7 +7,7 @@ from __future__ import annotations
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from .catalogue import Language, load
+from ..core.base.language import Language, load
 
 CONTEXT = "CU-Recon"  # for words that Blender has for other things, such as Surface
 CONTEXTS = ("*", "Operator", CONTEXT)  # Blender looks buttons up in the second
@@ -28,10 +28,14 @@ def stop() -> None:
     _languages.clear()
 
 
+def current() -> str:
+    """Blender's language by its name, such as zh_HANS, where this add-on speaks it and it is on; else empty."""
+    name = bpy.app.translations.locale
+    return name if name in _languages and bpy.context.preferences.view.use_translate_interface else ""
+
+
 def translated(text: str) -> str:
     """A text in Blender's language that was put together in English, such as an error of core or a note of the frame.
     What has no translation stays, as do the names, paths and numbers within."""
-    language = _languages.get(bpy.app.translations.locale)
-    if language is None or not bpy.context.preferences.view.use_translate_interface:
-        return iface_(text)
-    return language.translated(text)
+    language = _languages.get(current())
+    return iface_(text) if language is None else language.translated(text)

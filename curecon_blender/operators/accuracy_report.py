@@ -11,8 +11,12 @@ import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 
 from ..core.base.options import REPORT
+from ..languages import current
+from ..preferences import settings
 from . import paths, running
 from .running import WorkerOperator
+
+FONT = "Noto Sans CJK Regular.woff2"  # of Blender's own: Latin, Greek, Cyrillic, Chinese, Japanese and Korean letters
 
 
 class CURECON_OT_accuracy_report(WorkerOperator, bpy.types.Operator):
@@ -24,8 +28,14 @@ page, and open the page"""
 
     task = "Writing the report"
     panel = "result"
+    site: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Site", description="The site's name; empty: the title of its sheets, or else the photos' folder"
+    )
     by: bpy.props.StringProperty(  # type: ignore[valid-type]
-        name="Made By", description="Who made the record, if the report should say it"
+        name="Made By", description="Who made the record; empty: as the add-on's preferences say"
+    )
+    when: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Date", description="When the record was made, if the report should say it"
     )
 
     @classmethod
@@ -42,7 +52,12 @@ page, and open the page"""
         return paths.absolute(context.scene.curecon.result.workspace)
 
     def arguments(self, context: bpy.types.Context) -> list[str]:
-        return [REPORT, str(self.workspace(context)), *(["--by", self.by] if self.by else [])]
+        font = Path(bpy.utils.system_resource("DATAFILES", path="fonts")) / FONT
+        told = {
+            "--name": self.site or context.scene.curecon.present.title, "--by": self.by or settings(context).made_by,
+            "--when": self.when, "--language": current(), "--font": str(font) if font.is_file() else "",
+        }
+        return [REPORT, str(self.workspace(context)), *(f"{flag}={value}" for flag, value in told.items() if value)]
 
     def done(self, context: bpy.types.Context, scene: bpy.types.Scene, summary: dict[str, Any]) -> str:
         files: dict[str, str] = summary["report"]

@@ -7,19 +7,25 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from ..base import language
 from ..base.errors import WorkspaceError
 from ..base.messages import Reporter
+from ..base.options import STAGES
+from ..base.records import Component
 from ..network import weights
 from ..photos.record import read_photos
-from ..report.write import write_report
+from ..report.measure import Standing
+from ..report.provenance import About
+from ..report.write import Rest, write_report
+from ..site import adjustment
 from ..views import record as views_record
 from .settings import read_settings
 from .workspace import Workspace
 
 
-def report(folder: Path, by: str, reporter: Reporter) -> dict[str, Any]:
-    """Write the report of a workspace whose cloud is finished; its files by format, as `report`. Raises
-    WorkspaceError, Cancelled."""
+def report(folder: Path, about: About, language_name: str, font: Path | None, reporter: Reporter) -> dict[str, Any]:
+    """Write the report of a workspace whose cloud is finished, in a language by Blender's name of it; its files by
+    format, as `report`. Raises WorkspaceError, SparseError, PhotoError, Cancelled."""
     if not (folder / "workspace.json").is_file():
         raise WorkspaceError(
             f"{folder} is not a workspace of CU-Recon.", path=folder,
@@ -29,7 +35,19 @@ def report(folder: Path, by: str, reporter: Reporter) -> dict[str, Any]:
     with Workspace(folder) as workspace:
         reporter.stage("report")
         root, settings = workspace.root, read_settings(workspace.root)
-        used = settings.get("weights")
-        digest = weights.describe(Path(used) if used else None)["sha256"]
-        components, photo_set = views_record.read(root), read_photos(root)
-        return {"report": write_report(root, components, photo_set, digest, settings, by, reporter)}
+        used = settings.pop("weights", "")
+        settings.pop("until", None)
+        done = [record.seconds for stage in STAGES if (record := workspace.record(stage))]
+        rest = Rest(weights=weights.describe(Path(used) if used else None)["sha256"], settings=settings,
+                    minutes=sum(done) / 60 if done else None)
+        parts = [(component, _standing(component, root)) for component in views_record.read(root)]
+        return {"report": write_report(root, parts, read_photos(root), rest, about, language.of_name(language_name),
+                                       font, reporter)}
+
+
+def _standing(component: Component, root: Path) -> Standing:
+    """How a part stands with what was measured on it since it was reconstructed."""
+    measured = adjustment.read(root / component.sparse)
+    scale = measured.of(adjustment.SCALE)
+    return Standing(adjustment.adjusted_frame(component.frame, measured), measured.matrix,
+                    scale.sigma if scale is not None else component.frame.scale_sigma)

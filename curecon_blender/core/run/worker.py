@@ -101,9 +101,11 @@ def _run(options: argparse.Namespace, reporter: Reporter) -> dict[str, object]:
     if options.command == "check":
         return pipeline.check(options_of(options), options.thumbnails, reporter)
     if options.command == "report":
+        from ..report.provenance import About
         from .report import report
 
-        return report(options.workspace, options.by, reporter)
+        about = About(name=options.name, by=options.by, when=options.when)
+        return report(options.workspace, about, options.language, options.font, reporter)
     return pipeline.reconstruct(options_of(options), reporter)
 
 

@@ -1,36 +1,59 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Translations by the English text, one file a language, also of texts that were formatted in English.
+"""Words for people, and their translations by the English text, one file a language.
 
 A file is a JSON object of English to translation. {} stands for a value; a translation may number them ({1}, {0}) to
 change their order, and keeps what follows a colon ({:,}) except for dates.
+
+Text carries its message and its values, so that its translation is certain. A text that was formatted before is read
+backwards, to the message that it most likely came from.
 """
 
 from __future__ import annotations
 
 import json
 import string
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
+from typing import Self
 
-FOLDER = Path(__file__).resolve().parent
+FOLDER = Path(__file__).resolve().parents[2] / "languages"
 JOINTS = ("  ·  ", ". ", ": ", ", ", " and ")  # between parts that are messages of their own
 FEW_LETTERS = 7  # of a message whose values are numbers and names
 NAME_WORDS = 6  # of a name before a message that begins with a verb: "IMG 1.jpg is a screenshot"
 LONGEST = 4000
 
 
+class Text(str):
+    """A text for people: in English as it stands, and to be translated by its `message` and `values`.
+
+    A value that is a Text is translated, too; one that is a plain string is a name and stays. Without values the text
+    is a message itself, or one that was formatted in English before, such as a note in a file.
+    """
+
+    message: str
+    values: tuple[object, ...]
+
+    def __new__(cls, message: str, *values: object) -> Self:
+        text = super().__new__(cls, message.format(*values) if values else message)
+        text.message, text.values = message, values
+        return text
+
+
 def load() -> dict[str, Language]:
     """Every language, by Blender's name of it."""
     files = sorted(FOLDER.glob("*.json"))
-    return {file.stem: Language(json.loads(file.read_text(encoding="utf-8"))) for file in files}
+    return {file.stem: Language(json.loads(file.read_text(encoding="utf-8")), file.stem.replace("_", "-"))
+            for file in files}
 
 
 class Language:
-    """`words` are the translations by the English text; what is empty is not translated yet."""
+    """`words` are the translations by the English text; what is empty is not translated yet. `tag` is the language's
+    name as web pages have it."""
 
-    def __init__(self, words: Mapping[str, str]) -> None:
+    def __init__(self, words: Mapping[str, str], tag: str = "en") -> None:
+        self.tag = tag
         self.words = {text: said for text, said in words.items() if said}
         said = {text.removesuffix("."): said.removesuffix("。") for text, said in self.words.items()}
         self._said = self.words | said | self.words  # a sentence within another one has no full stop
@@ -40,7 +63,23 @@ class Language:
 
     def translated(self, text: str) -> str:
         """A text, whole or formatted or joined of several, with what of it has a translation translated."""
+        if isinstance(text, Text) and text.values:
+            given = [self.translated(value) if isinstance(value, Text) else value for value in text.values]
+            return (self.words.get(text.message) or self._joined(text.message)).format(*given)
+        text = str(text)
         return self._best(text)[0] if len(text) <= LONGEST else text
+
+    def said(self, text: str) -> str:
+        """A Text in the language; any other string is a name and stays."""
+        return self.translated(text) if self.words and isinstance(text, Text) else str(text)
+
+    def joined(self, sentences: Sequence[str]) -> str:
+        """Sentences after one another."""
+        return self.words.get(". ", ". ")[1:].join(self.said(sentence) for sentence in sentences)
+
+    def _joined(self, message: str) -> str:
+        """A message that is not known as a whole, such as "{}, {} and {}", with its joints translated."""
+        return "{}".join(self.words.get(literal, literal) for literal in _literals(message))
 
     def _find_best(self, text: str) -> tuple[str, int]:
         """The reading of a text that leaves the fewest letters in English, and their number; among equals, the one by
@@ -80,6 +119,14 @@ class Language:
             if rest[:1].islower():
                 whole = [(self._said[rest], 0, 0)] if rest in self._said else [*self._by_messages(rest)]
                 yield from ((f"{name} {said}", _letters(name) + left, 0) for said, left, _ in whole)
+
+
+ENGLISH = Language({})
+
+
+def of_name(name: str) -> Language:
+    """A language by Blender's name of it; English where there is none such."""
+    return load().get(name, ENGLISH)
 
 
 def values(message: str) -> set[tuple[str, str]]:
