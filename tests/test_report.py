@@ -222,7 +222,7 @@ def test_names_are_safe_in_both_and_stay_as_they_are_in_another_language(tmp_pat
     )
     letters = letters_of(set(LATIN), None)
     assert not letters.lacks
-    write_html(tmp_path / "a.html", name, "", [section], CHINESE)
+    write_html(tmp_path / "a.html", name, "", [section], CHINESE, letters)
     page = (tmp_path / "a.html").read_text(encoding="utf-8")
     assert "<b>" not in page and page.count("&lt;b&gt;Ground&lt;/b&gt; &amp; &quot;walls&quot; {0}") == 5
     assert 'lang="zh-HANS"' in page and "<h2>清晰性</h2>" in page and "1:50 (墙面)" in page and ">ground<" in page

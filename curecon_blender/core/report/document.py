@@ -11,6 +11,8 @@ from PIL import Image
 
 from ..base.language import Text
 
+_LONG_WORD, _NUMBER = 24, 6  # letters
+
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
@@ -59,6 +61,11 @@ def rounded(value: float, *, metres: bool) -> str:
     if not metres:
         return Text("{} units", f"{value:g}")
     return f"{1000 * value:g} mm" if abs(value) < 1 else f"{value:g} m"
+
+
+def short(name: str) -> str:
+    """A camera's name without most of its number, which is a digest."""
+    return " ".join(word[:_NUMBER] if len(word) > _LONG_WORD else word for word in name.split(" "))
 
 
 def share(value: float) -> str:

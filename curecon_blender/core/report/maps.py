@@ -15,8 +15,8 @@ from ..base.language import Text
 from .fonts import Letters
 from .observations import Pattern
 
-WIDTH, HEIGHT, LOWEST, FOOT = 1140, 840, 360, 96  # pixels of a map, at most and at least, and of the strip below it
-_EDGE, _LETTERS = 24, 22
+WIDTH, HEIGHT, LOWEST, FOOT = 1140, 840, 360, 104  # pixels of a map, at most and at least, and of the strip below it
+_EDGE, _LETTERS = 24, 28
 _PAPER, _INK, _MARK, _FRAME = (255, 255, 255), (40, 40, 40), (235, 100, 20), (190, 190, 190)
 # From dark blue by green to yellow: even steps for the eye, and told apart by all.
 _RAMP = np.array([[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]], float)
@@ -201,7 +201,7 @@ def _painted(plan: Plan, colours: np.ndarray) -> Image.Image:
 def _bar(foot: Image.Image, plan: Plan, stops: np.ndarray, labels: Sequence[str]) -> None:
     """The colours' bar at the right of a map's foot."""
     draw = ImageDraw.Draw(foot)
-    left, right, top = WIDTH // 2, WIDTH - 4 * _EDGE, foot.height - FOOT + 12
+    left, right, top = WIDTH // 2, WIDTH - 6 * _EDGE, foot.height - FOOT + 12
     colours = _along(stops, np.linspace(0, 1, right - left))
     foot.paste(Image.fromarray(np.repeat(colours[None], 20, axis=0)), (left, top))
     for place, label in enumerate(labels):

@@ -19,7 +19,16 @@ from reportlab.lib.styles import ParagraphStyle
 from reportlab.lib.units import mm
 from reportlab.pdfbase import pdfmetrics
 from reportlab.pdfbase.ttfonts import TTFont
-from reportlab.platypus import Flowable, HRFlowable, KeepTogether, Paragraph, SimpleDocTemplate, Spacer, TableStyle
+from reportlab.platypus import (
+    CondPageBreak,
+    Flowable,
+    HRFlowable,
+    KeepTogether,
+    Paragraph,
+    SimpleDocTemplate,
+    Spacer,
+    TableStyle,
+)
 from reportlab.platypus import Image as Placed
 from reportlab.platypus import Table as Grid
 
@@ -29,7 +38,7 @@ from .document import Picture, Section, Table
 from .fonts import Letters
 
 _STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; max-width: 56rem; margin: 2rem auto; padding: 0 1rem; color: #222 }
+body { font: 16px/1.5 Report, system-ui, sans-serif; max-width: 56rem; margin: 2rem auto; padding: 0 1rem; color: #222 }
 h1 { font-size: 1.8rem; line-height: 1.2; margin: 0; overflow-wrap: anywhere } h1 + p { color: #666; margin-top: .3rem }
 h2 { margin: 2.5rem 0 0; border-bottom: 2px solid #444 } h2 + p { font-size: 1.1rem }
 h3 { font-size: 1rem; margin: 1.8rem 0 .3rem; overflow-wrap: anywhere }
@@ -47,6 +56,7 @@ figure { margin: 1.5rem 0 } img { max-width: 100%; border: 1px solid #ddd } figc
 """
 _WIDTH = A4[0] - 40 * mm - 12  # of the text; reportlab keeps 6 points at either side of it
 _WIDE, _NARROW = 140 * mm, 80 * mm  # of pictures: two maps a page
+_LEAST_LEFT = 70 * mm  # of a page for a section to begin on it
 _KEPT = 16  # rows of a table that is not parted between pages
 _LONG_WORD = 60  # letters: a digest, in small ones
 _FONT = "Report"
@@ -54,8 +64,11 @@ _LIGHT, _RULED = colors.HexColor("#e4e4e4"), colors.HexColor("#444444")
 _JPEG = 90  # quality: maps are photos, mostly
 
 
-def write_html(path: Path, title: str, subtitle: str, sections: Sequence[Section], language: Language) -> None:
-    """Write the page, pictures included (atomically). Raises WorkspaceError."""
+def write_html(
+    path: Path, title: str, subtitle: str, sections: Sequence[Section], language: Language, letters: Letters
+) -> None:
+    """Write the page, with its pictures and the letters that a computer may lack in it (atomically). Raises
+    WorkspaceError."""
 
     def say(text: str) -> str:
         return html.escape(language.said(text))
@@ -63,7 +76,7 @@ def write_html(path: Path, title: str, subtitle: str, sections: Sequence[Section
     head = say(title)
     parts = [f'<!DOCTYPE html><html lang="{language.tag}"><meta charset="utf-8">'
              '<meta name="viewport" content="width=device-width, initial-scale=1">'
-             f"<title>{head}</title><style>{_STYLE}</style><h1>{head}</h1><p>{say(subtitle)}</p>"]
+             f"<title>{head}</title><style>{_face(letters)}{_STYLE}</style><h1>{head}</h1><p>{say(subtitle)}</p>"]
     for section in sections:
         parts.append(f"<h2>{say(section.title)}</h2><p>{html.escape(language.joined(section.sentences))}</p>")
         parts.append('<table class="rows">')
@@ -82,6 +95,11 @@ def write_html(path: Path, title: str, subtitle: str, sections: Sequence[Section
                          f"<figcaption>{say(picture.caption)}</figcaption></figure>")
     with atomic_write(path) as file:
         file.write("\n".join([*parts, "</html>"]).encode("utf-8"))
+
+
+def _face(letters: Letters) -> str:
+    data = base64.b64encode(letters.content).decode("ascii")
+    return f"@font-face {{ font-family: {_FONT}; src: url(data:font/ttf;base64,{data}) }}"
 
 
 def _row(cells: Sequence[str], tag: str, say: Any) -> str:
@@ -120,7 +138,7 @@ class _Pages:
                                 self.text(self._language.joined(section.sentences), "sentence")]
         rows = [[self.text(label, "label"), self.text(value, "small" if _is_long_word(value) else "cell")]
                 for label, value in section.rows]
-        story: list[Flowable] = [KeepTogether([*head, *([_grid(rows, (0.4, 0.6))] if rows else [])])]
+        story: list[Flowable] = [CondPageBreak(_LEAST_LEFT), *head, *([_grid(rows, (0.4, 0.6))] if rows else [])]
         for table in section.tables:
             story += self.table(table)
         narrow = [picture for picture in section.pictures if not picture.wide]

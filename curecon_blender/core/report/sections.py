@@ -14,7 +14,7 @@ import numpy as np
 
 from ..base.language import Text
 from . import maps
-from .document import Picture, Section, length, listed, rounded, share
+from .document import Picture, Section, length, listed, rounded, share, short
 from .figures import Correctness, Part, Residuals, Survey
 from .maps import Lettering
 from .measure import GROUND, ROOFS, SEEN_WELL, WALLS, Site, finest_pixels
@@ -62,7 +62,7 @@ def _survey(part: Part, pictures: tuple[Picture, ...]) -> Section:
     for camera in survey.cameras:
         focal = Text("focal length unknown") if camera.focal is None else Text("focal length {} pixels",
                                                                                f"{camera.focal:.0f}")
-        rows.append((Text("Camera {}", camera.name),
+        rows.append((Text("Camera {}", short(camera.name)),
                      Text("{} photos of {} pixels, {}", str(camera.photos), "×".join(map(str, camera.size)), focal)))
     sentence = Text("{} photos cover {}, taken from about {} above the ground.", str(part.integrity.placed), area,
                     above)
@@ -225,7 +225,7 @@ def _camera_map(site: Site, lettering: Lettering) -> tuple[Picture, ...]:
 
 def _pattern_maps(site: Site, lettering: Lettering) -> tuple[Picture, ...]:
     return tuple(
-        Picture(Text("What the lens of {} leaves over across its photos, mean; {} over all (RMS).", lens.camera,
+        Picture(Text("What the lens of {} leaves over across its photos, mean; {} over all (RMS).", short(lens.camera),
                      Text("{:.2f} pixels", lens.rms)),
                 maps.pattern_map(pattern, lettering, lambda value: Text("{:.2f} pixels", value)), wide=False)
         for lens, pattern in zip(site.part.correctness.lenses, site.patterns, strict=True)

@@ -9,7 +9,7 @@ import numpy as np
 from ..adjust.priors import FOCAL, MAKER, NOTHING
 from ..adjust.record import PointResidual
 from ..base.language import Text
-from .document import Table
+from .document import Table, short
 from .figures import Lens, Residuals
 
 MOST_PHOTOS = 8  # that the table of GPS names: those farthest off
@@ -63,6 +63,6 @@ def lens_table(lens: Lens) -> Table | None:
     for (name, digits), value, sigma, known in zip(_PARAMETERS, found.values, found.sigmas, found.known, strict=True):
         rows.append((name, f"{value:.{digits}f}", f"± {sigma:.{digits}f}" if sigma > _HELD else Text("held"),
                      f"{known:.{digits}f}"))
-    return Table(title=Text("Lens of {}", lens.camera), rows=tuple(rows),
+    return Table(title=Text("Lens of {}", short(lens.camera)), rows=tuple(rows),
                  head=(Text("Parameter"), Text("As adjusted"), Text("Standard deviation"),
                        _SOURCES.get(found.source, Text("Assumed"))))

@@ -64,7 +64,7 @@ def write_report(
         "sentences": {section.title: " ".join(section.sentences) for section in sections},
         "provenance": asdict(provenance),
     })
-    write_html(paths["html"], title, subtitle, sections, language)
+    write_html(paths["html"], title, subtitle, sections, language, lettering.letters)
     write_pdf(paths["pdf"], title, subtitle, sections, language, lettering.letters)
     return {kind: str(path) for kind, path in paths.items()}
 
