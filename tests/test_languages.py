@@ -30,7 +30,7 @@ import messages  # noqa: E402 - a script
 
 LANGUAGES = load()
 CHINESE = LANGUAGES["zh_HANS"]
-NAMES = r"\S*|JPEG|PNG|TIFF|\S+\.(csv|jpg)|photo,name|name,x,y,z|ODM|x y z px py photo name"
+NAMES = r"\S*|JPEG|PNG|TIFF|HEIC|\S+\.(csv|jpg)|photo,name|name,x,y,z|ODM|x y z px py photo name"
 ENGLISH = re.compile(r"[A-Za-z]{3,}")
 
 

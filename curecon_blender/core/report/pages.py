@@ -99,7 +99,7 @@ def write_html(
 
 def _face(letters: Letters) -> str:
     data = base64.b64encode(letters.content).decode("ascii")
-    return f"@font-face {{ font-family: {_FONT}; src: url(data:font/ttf;base64,{data}) }}"
+    return f"@font-face {{ font-family: {_FONT}; src: url(data:font/ttf;base64,{data}) }}\n"
 
 
 def _row(cells: Sequence[str], tag: str, say: Any) -> str:
