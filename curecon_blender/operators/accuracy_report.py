@@ -19,6 +19,16 @@ from .running import WorkerOperator
 FONT = "Noto Sans CJK Regular.woff2"  # of Blender's own: Latin, Greek, Cyrillic, Chinese, Japanese and Korean letters
 
 
+def report_arguments(context: bpy.types.Context, workspace: Path | None, site: str, by: str, when: str) -> list[str]:
+    """The worker's arguments; what is empty is as the scene, the preferences and Blender's language have it."""
+    font = Path(bpy.utils.system_resource("DATAFILES", path="fonts")) / FONT
+    told = {
+        "--name": site or context.scene.curecon.present.title, "--by": by or settings(context).made_by, "--when": when,
+        "--language": current(), "--font": str(font) if font.is_file() else "",
+    }
+    return [REPORT, str(workspace), *(f"{flag}={value}" for flag, value in told.items() if value)]
+
+
 class CURECON_OT_accuracy_report(WorkerOperator, bpy.types.Operator):
     """Write what the record rests on, how precise and how complete it is, and where it comes from, as PDF and as a web
 page, and open the page"""
@@ -52,12 +62,7 @@ page, and open the page"""
         return paths.absolute(context.scene.curecon.result.workspace)
 
     def arguments(self, context: bpy.types.Context) -> list[str]:
-        font = Path(bpy.utils.system_resource("DATAFILES", path="fonts")) / FONT
-        told = {
-            "--name": self.site or context.scene.curecon.present.title, "--by": self.by or settings(context).made_by,
-            "--when": self.when, "--language": current(), "--font": str(font) if font.is_file() else "",
-        }
-        return [REPORT, str(self.workspace(context)), *(f"{flag}={value}" for flag, value in told.items() if value)]
+        return report_arguments(context, self.workspace(context), self.site, self.by, self.when)
 
     def done(self, context: bpy.types.Context, scene: bpy.types.Scene, summary: dict[str, Any]) -> str:
         files: dict[str, str] = summary["report"]

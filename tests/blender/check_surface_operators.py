@@ -19,6 +19,7 @@ import curecon_blender
 from curecon_blender import preferences
 from curecon_blender.core.base.options import RUN, SURFACE, Options, arguments, declared
 from curecon_blender.core.run.command_line import options_of, parser
+from curecon_blender.operators.accuracy_report import report_arguments
 from curecon_blender.operators.job_options import job_options, surface_options
 from curecon_blender.panels.preferences import CURECON_AP_preferences
 from curecon_blender.properties import GOALS, CURECON_PG_scene
@@ -104,6 +105,11 @@ try:
         for option, argument in declared(RUN):
             known = kind.bl_rna.properties.get(option.name)
             assert known is None or not argument.choices or tuple(known.enum_items.keys()) == argument.choices
+    # So it does for a report: its site, whose it is, and letters for all of it.
+    properties.present.title = "-Eryi Lou"
+    told = parser().parse_args(report_arguments(bpy.context, folder, site="", by="-A", when=""))
+    assert (told.workspace, told.name, told.by, told.language) == (folder, "-Eryi Lou", "-A", "") and told.font.is_file()
+
     properties.region = None
     assert "no region box is chosen" in error_of(bpy.ops.curecon.build_mesh)
     properties.use_region = False

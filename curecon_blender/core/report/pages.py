@@ -167,7 +167,7 @@ class _Pages:
     def picture(self, picture: Picture, width: float) -> list[Flowable]:
         height = width * picture.image.height / picture.image.width
         placed = Placed(io.BytesIO(_jpeg(picture.image)), width, height, hAlign="LEFT")
-        return [placed, self.text(picture.caption, "label")]
+        return [placed, Spacer(0, mm), self.text(picture.caption, "label")]
 
 
 def _is_long_word(text: str) -> bool:
