@@ -108,7 +108,8 @@ try:
     # So it does for a report: its site, whose it is, and letters for all of it.
     properties.present.title = "-Eryi Lou"
     told = parser().parse_args(report_arguments(bpy.context, folder, site="", by="-A", when=""))
-    assert (told.workspace, told.name, told.by, told.language) == (folder, "-Eryi Lou", "-A", "") and told.font.is_file()
+    assert (told.workspace, told.name, told.by, told.language) == (folder, "-Eryi Lou", "-A", "")
+    assert told.font.is_file()
 
     properties.region = None
     assert "no region box is chosen" in error_of(bpy.ops.curecon.build_mesh)
