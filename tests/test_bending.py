@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -62,13 +63,40 @@ def test_heights_are_doubtful_where_neither_the_photos_nor_the_maker_tell_the_fo
 
 
 def test_a_rolling_shutter_moves_the_ground_by_what_the_drone_flies() -> None:
-    photos, _ = grid(0.0, 0.0)
+    photos, centres = grid(0.0, 0.0)
     still = [replace(photo, speed=None) for photo in photos]
     focal, above = np.full(30, 1000.0), np.full(30, ABOVE)
-    assert bending.shutter_shift(photos, focal, above) == pytest.approx(5 * 0.023 * 1000 / ABOVE)
-    assert bending.shutter_shift(still, focal, above) is None
+    assert bending.shutter_shift(photos, centres, focal, above) == pytest.approx(5 * 0.023 * 1000 / ABOVE)
+    assert bending.shutter_shift(still, centres, focal, above) is None
     mechanical = [replace(photo, camera="DJI FC6310 8.8 mm") for photo in photos]
-    assert bending.shutter_shift(mechanical, focal, above) == 0
+    assert bending.shutter_shift(mechanical, centres, focal, above) == 0
+
+
+@pytest.mark.parametrize(("seconds", "told"), [(2, True), (9, False)])
+def test_places_and_times_tell_the_speed_where_the_drone_does_not_and_cannot_have_stopped(
+    seconds: int, told: bool
+) -> None:
+    photos, _ = grid(0.0, 0.0)
+    centres = np.column_stack([np.arange(30) * 9.0, np.zeros(30), np.full(30, ABOVE)])
+    start = datetime(2026, 5, 4, 23, 59, 40)
+    timed = [replace(photo, speed=None, time=(start + timedelta(seconds=seconds * n)).isoformat())
+             for n, photo in enumerate(photos)]
+    shift = bending.shutter_shift(timed[::-1], centres[::-1], np.full(30, 1000.0), np.full(30, ABOVE))
+    assert shift == (pytest.approx(4.5 * 0.023 * 1000 / ABOVE) if told else None)
+
+
+@pytest.mark.parametrize(("bend", "said"), [(0.4, True), (-0.4, True), (0.02, False)])
+def test_a_dome_against_control_points_is_told(bend: float, said: bool) -> None:
+    plan = np.array([[-30.0, -20], [30, -20], [30, 20], [-30, 20], [2, 1], [-4, 3]])
+    off = 0.1 + bend * (plan**2).sum(axis=1) / 1300 + np.random.default_rng(2).normal(0, 0.005, 6)
+    found = bending.control_dome(plan, off, np.full(6, 0.02), pixel=0.01)
+    assert found is not None and found.bend == pytest.approx(bend, rel=0.2)
+    assert ("by the control points" in bending.doubt((found,), None)) == said
+    rough = bending.control_dome(plan, off, np.full(6, 0.5), pixel=0.01)
+    assert rough is not None and not bending.is_bent(rough)  # points known to half a metre show no such dome
+    assert bending.control_dome(plan[:4], off[:4], np.full(4, 0.02), pixel=0.01) is None
+    corners = np.vstack([plan[:4], [[36.0556, 0]]])  # all equally far from the middle
+    assert bending.control_dome(corners, np.zeros(5), np.full(5, 0.02), pixel=0.01) is None
 
 
 def test_altitudes_of_two_levels_are_not_mixed() -> None:

@@ -19,7 +19,7 @@ from ..sparse.placement import BENT, Placement, middle_on_the_ground, place, wit
 from ..sparse.record import FRAME_FILE, read_frame
 from . import bending
 from .bundle import LENS_PARAMETERS, Bundle, adjust, fit_points, posterior_sigmas
-from .control import CHECK, CONTROL, ControlSet
+from .control import CHECK, CONTROL, ControlSet, frame_positions
 from .control_bundle import known_with_control, left_out
 from .control_frame import (
     MarkedPoint,
@@ -36,7 +36,7 @@ from .conversion import registered, started, write_back
 from .precision import precision
 from .precision_record import Precision, write_precision
 from .priors import FOCAL, MAKER, NOTHING, gps_positions, lens_priors
-from .record import ACCURACY_FILE, Accuracy, LensFound, PhotoResidual, PointResidual
+from .record import ACCURACY_FILE, Accuracy, Dome, LensFound, PhotoResidual, PointResidual
 
 CONTRADICTS = 15.0, 10.0  # metres, times the median: a photo farther than both from its GPS is named
 # Photos whose camera is wrong and not their GPS: that share of the distance lies along their line of sight, in so many.
@@ -182,16 +182,31 @@ def _judged(
     known, sigmas = gps_positions(taken, frame.origin)
     focal = np.array([model.camera(image.camera_id).mean_focal_length() for image in images])
     above = np.array([_typical_depth(model, image) for image in images])
+    gps_heights = np.where(np.isfinite(sigmas[:, 2]), known[:, 2], np.nan)
     found, focal_sigma = lenses_found(adjusted.bundle, adjusted.sources) if adjusted else ((), None)
+    metres = frame.scale == "metres"
+    told = residuals(model, control, frame.origin, CONTROL) if holds(frame, control) else ()
     return Accuracy(
         adjusted=adjusted is not None, reprojection_error=model.compute_mean_reprojection_error(),
         gps=_gps_residuals(model, photos, frame), lenses=found, focal_sigma=focal_sigma,
-        domes=bending.domes(taken, centres, np.where(np.isfinite(sigmas[:, 2]), known[:, 2], np.nan),
-                            float(np.median(above))) if frame.scale == "metres" else (),
-        shutter_shift=bending.shutter_shift(taken, focal, above) if frame.scale == "metres" else None,
-        control=residuals(model, control, frame.origin, CONTROL) if holds(frame, control) else (),
+        domes=(*bending.domes(taken, centres, gps_heights, float(np.median(above))),
+               *_control_dome(told, control, frame, float(np.median(above / focal)))) if metres else (),
+        shutter_shift=bending.shutter_shift(taken, centres, focal, above) if metres else None,
+        control=told,
         left_out=adjusted.left_out if adjusted else (),
     )
+
+
+def _control_dome(
+    told: Sequence[PointResidual], control: ControlSet, frame: Frame, pixel: float
+) -> tuple[Dome, ...]:
+    """What the residuals of control points tell of a dome, by those whose heights are known."""
+    known = {point.name: point for point in control.points if point.place[2] is not None}
+    heights = np.array([one.off[2] for one in told if one.name in known])
+    points = [known[one.name] for one in told if one.name in known]
+    sigmas = np.array([point.sigma_height for point in points])
+    dome = bending.control_dome(frame_positions(points, frame.origin)[:, :2], heights, sigmas, pixel)
+    return () if dome is None else (dome,)
 
 
 def _typical_depth(model: pycolmap.Reconstruction, image: pycolmap.Image) -> float:

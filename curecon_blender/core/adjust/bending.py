@@ -1,35 +1,44 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Whether heights can be trusted: a dome against what is known of the cameras' heights, a focal length that the flight
-leaves open, and photos that moved while they were read out."""
+"""Whether heights can be trusted: a dome against what is known of the heights of cameras and control points, a focal
+length that the flight leaves open, and photos that moved while they were read out."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from datetime import datetime
 
 import numpy as np
 
 from ..base.records import Photo
 from .record import Dome
 
-GPS, RELATIVE_ALTITUDE = "GPS", "height above take-off"
-FEWEST = 8  # photos that can show a dome
+GPS, RELATIVE_ALTITUDE = "the photos' GPS", "the photos' height above take-off"
+CONTROL = "the control points"
+FEWEST, FEWEST_POINTS = 8, 5  # photos, and control points, that can show a dome
 NARROWEST = 0.1  # spread across a flight over that along it; a narrower one shows none
 # Metres up to which a receiver without RTK, or a barometer during one flight, may bend what is level; and of the height
 # above the ground.
 _GPS_LIMIT, _BAROMETER_LIMIT, _LIMIT_SHARE = 0.1, 0.3, 0.01
 _DRIFT = 2.0  # by which errors that change slowly from photo to photo make a dome likelier than their scatter says
 _SURE = 3.0  # sigmas
+_SINGULAR = 1e6  # condition from where on points tell no dome
+_TOLD = 3.0  # stated sigmas, at least pixels on the ground, up to which points and positions may bend what is level
 DOUBTFUL_SHARE = 0.01  # of heights; a focal length that is less sure makes them doubtful
 REMEDY = "Photos that look askew from all sides, a second flight height, or control points settle it."
-# Seconds in which a picture is read out row by row, by what the camera's name holds; none for those that take all rows
-# at once (a mechanical or global shutter).
+# Seconds in which a picture is read out row by row, by what the camera's name holds, as users have measured them; none
+# for those that take all rows at once (a mechanical or global shutter).
 _READOUTS = {
-    "MAVIC2-ENTERPRISE-ADVANCED": 0.031, "L2D-20C": 0.0166, "FC3682": 0.023, "FC8482": 0.016,
+    "MAVIC2-ENTERPRISE-ADVANCED": 0.031, "L2D-20C": 0.0166, "L1D-20C": 0.056, "FC300": 0.033, "FC330": 0.033,
+    "FC350": 0.030, "FC3170": 0.027, "FC3411": 0.032, "FC3582": 0.026, "FC3682": 0.023, "FC7203": 0.020,
+    "FC8482": 0.016,
     "FC6310": 0.0, "FC6360": 0.0, "FC6510": 0.0, "FC6520": 0.0, "FC550": 0.0, "M3E": 0.0, "ZENMUSEP1": 0.0,
 }
 _USUAL_READOUT = 0.030
+_LARGE, _LARGE_READOUT = 30e6, 0.060  # pixels of a picture of the FC3582 from where on its readout takes longer
 MOST_SHIFT = 1.0  # pixels
+# Seconds between two photos: fewer, EXIF's whole seconds tell no speed; in more, a drone may have stopped for each.
+LEAST_INTERVAL, MOST_INTERVAL = 1.0, 3.0
 
 
 def domes(photos: Sequence[Photo], centres: np.ndarray, gps_heights: np.ndarray, above: float) -> tuple[Dome, ...]:
@@ -37,7 +46,7 @@ def domes(photos: Sequence[Photo], centres: np.ndarray, gps_heights: np.ndarray,
     in the frame are nan where it tells none, and against their height above take-off; `above` is their usual height
     above the ground, all in metres."""
     stated = [photo.gps_sigmas[1] for photo in photos if photo.gps_sigmas is not None]
-    limit = 3 * float(np.median(stated)) if len(stated) > len(photos) / 2 else _GPS_LIMIT
+    limit = _TOLD * float(np.median(stated)) if len(stated) > len(photos) / 2 else _GPS_LIMIT
     relative = np.array([np.nan if p.relative_altitude is None else p.relative_altitude for p in photos], float)
     found = (
         _dome(GPS, centres, gps_heights, limit),
@@ -46,18 +55,41 @@ def domes(photos: Sequence[Photo], centres: np.ndarray, gps_heights: np.ndarray,
     return tuple(dome for dome in found if dome is not None)
 
 
-def _dome(source: str, centres: np.ndarray, heights: np.ndarray, limit: float) -> Dome | None:
-    """The quadratic term of the cameras' heights over what they are known to be, by the distance from the middle."""
-    known = np.isfinite(heights)
-    if known.sum() < FEWEST:
+def control_dome(plan: np.ndarray, off: np.ndarray, sigmas: np.ndarray, pixel: float) -> Dome | None:
+    """What control points at `plan` (C,2) tell of a dome, whose heights, known to `sigmas` (C,), the model has `off`
+    (C,); `pixel` is a photo's on the ground, all in metres. Each counts by its sigma: of so few, none can be called an
+    outlier."""
+    design = _paraboloid(plan) if len(off) >= FEWEST_POINTS else None
+    if design is None:
         return None
-    plan = centres[known, :2] - np.median(centres[known, :2], axis=0)
+    sigmas = np.maximum(sigmas, pixel)
+    system = design.T @ (sigmas[:, None] ** -2 * design)
+    if np.linalg.cond(system) > _SINGULAR:  # all of them lie equally far from the middle
+        return None
+    inverse = np.linalg.inv(system)
+    bend = inverse @ design.T @ (sigmas**-2 * off)
+    return Dome(source=CONTROL, bend=float(bend[3]), sigma=float(np.sqrt(inverse[3, 3])),
+                limit=_TOLD * float(np.median(sigmas)))
+
+
+def _paraboloid(plan: np.ndarray) -> np.ndarray | None:
+    """(N,4) of places in plan (N,2): level, two slopes, and the square of the distance from their middle, 1 at their
+    edge. None where they lie in a line."""
+    plan = plan - np.median(plan, axis=0)
     spread = np.linalg.svd(plan - plan.mean(axis=0), compute_uv=False)
     squared = (plan**2).sum(axis=1)
     if not spread[1] > NARROWEST * spread[0]:
         return None
+    return np.column_stack([np.ones(len(plan)), plan / np.sqrt(squared.max()), squared / squared.max()])
+
+
+def _dome(source: str, centres: np.ndarray, heights: np.ndarray, limit: float) -> Dome | None:
+    """The quadratic term of the cameras' heights over what they are known to be, by the distance from the middle."""
+    known = np.isfinite(heights)
+    design = _paraboloid(centres[known, :2]) if known.sum() >= FEWEST else None
+    if design is None:
+        return None
     off = centres[known, 2] - heights[known]
-    design = np.column_stack([np.ones(len(off)), plan / np.sqrt(squared.max()), squared / squared.max()])
     weights, scatter = np.ones(len(off)), 0.0
     for _ in range(10):
         system = design.T @ (weights[:, None] * design) + 1e-9 * np.eye(4)
@@ -80,20 +112,50 @@ def doubt(found: Sequence[Dome], focal_sigma: float | None) -> str:
     bent = max((dome for dome in found if is_bent(dome)), key=lambda dome: abs(dome.bend), default=None)
     if bent is not None:
         way = "raised" if bent.bend < 0 else "lowered"
-        return (f"Heights are doubtful: the model's middle is {way} against its edge by {abs(bent.bend):.2f} m, by the "
-                f"photos' {bent.source}.")
+        return (f"Heights are doubtful: the model's middle is {way} against its edge by {abs(bent.bend):.2f} m, by "
+                f"{bent.source}.")
     if focal_sigma is not None and focal_sigma > DOUBTFUL_SHARE:
         return (f"Heights are doubtful: those above the ground may be off by {100 * focal_sigma:.0f} %, since these "
                 "photos do not tell the focal length from the height.")
     return ""
 
 
-def shutter_shift(photos: Sequence[Photo], focal: np.ndarray, above: np.ndarray) -> float | None:
+def speeds(photos: Sequence[Photo], centres: np.ndarray) -> list[float | None]:
+    """Metres a second of the drone at each photo: as it tells, else from the places `centres` (N,3), metres, of the
+    photos before and after it, where these follow so fast that it cannot have stopped; None where nothing tells."""
+    times = {n: time for n, photo in enumerate(photos) if (time := _time(photo)) is not None}
+    order = sorted(times, key=times.__getitem__)
+    found = [photo.speed for photo in photos]
+    for before, n, after in zip(order, order[1:], order[2:], strict=False):
+        seconds = (times[after] - times[before]).total_seconds()
+        if found[n] is None and LEAST_INTERVAL <= seconds / 2 <= MOST_INTERVAL:
+            found[n] = float(np.linalg.norm(centres[after] - centres[before])) / seconds
+    return found
+
+
+def shutter_shift(
+    photos: Sequence[Photo], centres: np.ndarray, focal: np.ndarray, above: np.ndarray
+) -> float | None:
     """Pixels (median) by which the ground moved in the photos between their first and last row; None where no speed is
-    known. `focal` (N,) in pixels, `above` (N,) metres from the cameras to what they see."""
+    known. `centres` (N,3) in metres, `focal` (N,) in pixels, `above` (N,) metres from the cameras to what they see."""
     shifts = []
-    for photo, f, distance in zip(photos, focal, above, strict=True):
-        readout = next((seconds for name, seconds in _READOUTS.items() if name in photo.camera.upper()), _USUAL_READOUT)
-        if photo.speed is not None and distance > 0:
-            shifts.append(photo.speed * readout * f / distance)
+    for photo, speed, f, distance in zip(photos, speeds(photos, centres), focal, above, strict=True):
+        if speed is not None and distance > 0:
+            shifts.append(speed * _readout(photo) * f / distance)
     return float(np.median(shifts)) if shifts else None
+
+
+def _readout(photo: Photo) -> float:
+    """Seconds."""
+    name = next((name for name in _READOUTS if name in photo.camera.upper()), "")
+    if name == "FC3582" and photo.width * photo.height > _LARGE:
+        return _LARGE_READOUT
+    return _READOUTS.get(name, _USUAL_READOUT)
+
+
+def _time(photo: Photo) -> datetime | None:
+    """By the clock's face; of a record that someone changed it may be none."""
+    try:
+        return datetime.fromisoformat(photo.time or "").replace(tzinfo=None)
+    except ValueError:
+        return None
