@@ -11,14 +11,16 @@ import numpy as np
 import pycolmap
 import pytest
 
-from curecon_blender.core.adjust.adjust import adjust_model
+from curecon_blender.core.adjust.adjust import adjust_cameras, adjust_model
 from curecon_blender.core.adjust.bundle import adjust
 from curecon_blender.core.adjust.bundle_cpu import residuals
 from curecon_blender.core.adjust.conversion import started, to_bundle
 from curecon_blender.core.adjust.priors import MAKER, lens_priors
-from curecon_blender.core.base.geodesy import enu_to_geodetic
+from curecon_blender.core.base.geodesy import enu_to_geodetic, geodetic_to_enu
 from curecon_blender.core.base.messages import Reporter, Warning
-from curecon_blender.core.base.records import GeoPosition, Gimbal, Lens, Photo
+from curecon_blender.core.base.records import GeoPosition, Gimbal, Lens, Photo, PhotoSet
+from curecon_blender.core.sparse.models import ADJUSTED, MAPPED, read_model, write_components
+from curecon_blender.core.sparse.record import read_frame
 
 WIDTH, HEIGHT, ABOVE = 1600, 1200, 40.0
 LENS = Lens(f=1500.0, aspect=1.0, cx=795.0, cy=608.0, k1=-0.12, k2=0.05, p1=0.001, p2=-0.0005, k3=0.0)
@@ -132,6 +134,26 @@ def test_positions_without_a_fix_do_not_spoil_those_with_one() -> None:
         photos[name] = replace(photos[name], gps=replace(gps, altitude=off), gps_sigmas=None)
     assert adjust_model(model, photos, ORIGIN, Reporter())
     assert np.abs(centres_of(model) - centres).max() < 0.15
+
+
+def test_rtk_that_is_lost_within_a_flight_is_told_and_what_it_fixed_holds(tmp_path: Path) -> None:
+    """Without a fix, heights count from another level, as a receiver falls back to them."""
+    model, photos, centres = flight()
+    lost = list(photos)[12:]
+    for name in lost:
+        gps = photos[name].gps
+        assert gps is not None and gps.altitude is not None
+        photos[name] = replace(photos[name], gps=replace(gps, altitude=gps.altitude - 20), gps_sigmas=None)
+    write_components(tmp_path, MAPPED, [(model, {})])
+    reporter = Reporter()
+    adjust_cameras(PhotoSet(photos=tuple(photos.values())), tmp_path, reporter)
+    (said,) = reporter.warnings  # and nothing of a dome
+    assert said.startswith("Only 12 of 20 photos have an RTK fix")
+    adjusted = read_model(tmp_path / ADJUSTED / "0")
+    frame = read_frame(tmp_path / ADJUSTED / "0")
+    assert frame.origin is not None and frame.scale == "metres"
+    found = geodetic_to_enu(enu_to_geodetic(centres_of(adjusted), frame.origin), ORIGIN)
+    assert np.abs(found - centres).max() < 0.15
 
 
 def test_a_compass_that_is_off_does_not_turn_the_site() -> None:

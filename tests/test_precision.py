@@ -11,10 +11,10 @@ import pytest
 
 from curecon_blender.core.adjust.bundle import adjust
 from curecon_blender.core.adjust.precision import precision
-from evaluation.precision import noisy, ratios, run, site, within
+from evaluation.precision import DATUMS, noisy, ratios, run, site, within
 
 
-@pytest.mark.parametrize("datum", ["gps", "control", "free"])
+@pytest.mark.parametrize("datum", DATUMS)
 def test_told_precision_is_the_spread_of_many_adjustments(datum: str) -> None:
     trials = run(runs=12, photos=9, points=60, datum=datum)
     assert ratios(trials.shape_errors, trials.shape_covariances) == pytest.approx(1, abs=0.15)
@@ -30,6 +30,26 @@ def test_many_photos_do_not_average_away_what_their_receiver_errs_by_as_a_whole(
     assert np.sqrt(np.diag(told.datum)[:3]) == pytest.approx(truth.position_sigmas[0], rel=0.5)
     within_site, in_all = (np.sqrt(np.trace(c, axis1=1, axis2=2)).mean() for c in (told.shapes, told.points))
     assert within_site < 0.2 * in_all
+
+
+def test_a_receiver_that_states_no_accuracy_errs_by_metres_as_a_whole_but_not_where_control_holds() -> None:
+    adjusted = adjust(noisy(site(9, 60, "both"), np.random.default_rng(1)))
+    ordinary = replace(adjusted, receivers=np.zeros(9, int))
+    alone = replace(ordinary, control=np.zeros(0, int), control_positions=np.zeros((0, 3)),
+                    control_sigmas=np.zeros((0, 3)), apart=False)
+    shift = {name: precision(bundle).datum_sigmas[:3] for name, bundle in (
+        ("control", replace(ordinary, position_sigmas=np.full((9, 3), np.inf))), ("both", ordinary), ("gps", alone))}
+    assert (shift["gps"] > [1.5, 1.5, 3.0]).all()
+    assert (shift["both"] < 1.02 * shift["control"]).all() and (shift["control"] < 0.1).all()
+
+
+def test_points_that_one_photo_sees_do_not_blur_the_others() -> None:
+    adjusted = replace(adjust(noisy(site(16, 80, "gps"), np.random.default_rng(1))), receivers=np.zeros(16, int))
+    alone = (adjusted.point < 8) & (np.arange(len(adjusted.point)) != adjusted.starts[adjusted.point])
+    told, sound = precision(adjusted.without(alone)), precision(adjusted)
+    sigmas, before = (np.sqrt(np.trace(p.shapes[8:], axis1=1, axis2=2)) for p in (told, sound))
+    assert np.median(sigmas / before) == pytest.approx(1, abs=0.1)
+    assert told.datum_sigmas == pytest.approx(sound.datum_sigmas, rel=0.1)
 
 
 def test_a_network_that_nothing_holds_says_so_and_tells_its_shape_alone() -> None:

@@ -45,8 +45,10 @@ def domes(photos: Sequence[Photo], centres: np.ndarray, gps_heights: np.ndarray,
     """What the cameras' `centres` (N,3) in the frame tell of a dome against their GPS, whose heights `gps_heights` (N,)
     in the frame are nan where it tells none, and against their height above take-off; `above` is their usual height
     above the ground, all in metres."""
-    stated = [photo.gps_sigmas[1] for photo in photos if photo.gps_sigmas is not None]
-    limit = _TOLD * float(np.median(stated)) if len(stated) > len(photos) / 2 else _GPS_LIMIT
+    stated, limit = [photo.gps_sigmas[1] for photo in photos if photo.gps_sigmas is not None], _GPS_LIMIT
+    if len(stated) > len(photos) / 2:  # the others' heights may count from another level
+        limit = _TOLD * float(np.median(stated))
+        gps_heights = np.where([photo.gps_sigmas is None for photo in photos], np.nan, gps_heights)
     relative = np.array([np.nan if p.relative_altitude is None else p.relative_altitude for p in photos], float)
     found = (
         _dome(GPS, centres, gps_heights, limit),

@@ -37,7 +37,8 @@ class Bundle:
     `rotations` (N,3,3) cam_from_world and `centres` (N,3) of the photos, `lens_of` (N,) the lens of each; `lenses`
     (L,9) by LENS_PARAMETERS; `points` (P,3). Observations are sorted by point: `photo`, `point` (M,), `pixels` (M,2).
 
-    Known with its sigma, infinite where it is not: `positions` (N,3), of one kind, or of the kinds `receivers` (N,);
+    Known with its sigma, infinite where it is not: `positions` (N,3), of receivers that state their accuracy, or of the
+    kinds `receivers` (N,), 0 where it is not stated;
     with `apart` they tell only how photos lie to each other, since all may be off by another datum or a receiver's
     error; `attitudes` (N,3,3) cam_from_world with one sigma (N,) in radians; `known_lenses` (L,9). Control: `control`
     (C,) are the numbers of points whose place is known, `control_positions` and `control_sigmas` (C,3); their marks are

@@ -279,7 +279,7 @@ STAGES = {stage.name: stage for stage in (
           load=_load_photos, options=("surplus",)),
     Stage(name="sparse", version=7, weight=0.2, files=("sparse/mapped/[0-9]*/*",), run=_find_cameras,
           options=("preset.sfm_image_size", "preset.max_features"), inputs=_model),
-    Stage(name="adjust", version=6, weight=0.02, run=_adjust, inputs=_control, load=_tell_checks,
+    Stage(name="adjust", version=7, weight=0.02, run=_adjust, inputs=_control, load=_tell_checks,
           files=("sparse/[0-9]*/*.bin", "sparse/[0-9]*/frame.json", "sparse/[0-9]*/accuracy.json",
                  "sparse/[0-9]*/precision.npz")),
     Stage(name="views", version=2, weight=0.03, files=(views_record.FILE_NAME, "undistorted/*"), run=_prepare_views,
