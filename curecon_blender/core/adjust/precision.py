@@ -52,10 +52,10 @@ def precision(bundle: Bundle, lens_sigmas: np.ndarray | None = None) -> Precisio
     system[at, at] += _attitudes(bundle)
     alone = np.ones(len(bundle.points))
     np.minimum.at(alone, bundle.point, together)
-    own = inverses * alone[:, None, None]
     rays = np.maximum(np.bincount(bundle.point[weights > 0], minlength=len(bundle.points)), 1)
     # An error that its point takes up is seen in no residual, and counts in full: the fewer rays, the more of it.
-    own *= np.where(np.isin(np.arange(len(own)), bundle.control), 1.0, 1 + (worst - 1) * 3 / (2 * rays))[:, None, None]
+    unseen = np.where(np.isin(np.arange(len(rays)), bundle.control), 0.0, 3 / (2 * rays))
+    own = inverses * (alone * (1 + (worst - 1) * unseen))[:, None, None]
     held = bool(np.isfinite(bundle.position_sigmas).any() or len(bundle.control) >= 3)
     middle, photos = bundle.points.mean(axis=0), len(bundle.centres)
     moves = _similarities(bundle, middle)
@@ -68,28 +68,19 @@ def precision(bundle: Bundle, lens_sigmas: np.ndarray | None = None) -> Precisio
     if lens_sigmas is not None:
         cameras += _of_held_lenses(system, inverse, bundle.lens_sigmas, lens_sigmas)
     of_points = similarity_of(bundle.points - middle)
-    # The site as a whole is that of the points that are known well: one ray alone leaves its point where it is.
-    open_ = np.trace(own, axis1=1, axis2=2)
-    known_well = of_points * (open_ < FEEBLE**2 * np.median(open_))[:, None, None]
-    towards = bundle_cpu.shape_response(
-        bundle.photo, bundle.lens_of, bundle.starts, photos, inverses, coupling, known_well, len(system)
-    )
-    normal = np.einsum("pij,pik->jk", known_well, known_well)
-    responses = np.linalg.solve(normal, towards)  # (7,D): the similarity by which the points follow the cameras
+    responses = _whole(bundle, inverses, coupling, of_points, own, len(system))
     through, datum = cameras @ responses.T, responses @ cameras @ responses.T
     points, shapes = bundle_cpu.point_covariances(
         bundle.photo, bundle.lens_of, bundle.starts, photos, inverses, coupling, of_points, cameras, through, datum, own
     )
     if not held:
-        free = moves @ responses  # a camera's move that is the points'
-        shape = np.eye(len(system)) - free
+        shape = np.eye(len(system)) - moves @ responses  # without a camera's move that is the points'
         cameras = shape @ cameras @ shape.T
         points, datum = shapes, np.zeros_like(datum)
     poses = np.diag(cameras)[: POSE * photos].reshape(photos, POSE)
     at = POSE * np.arange(photos)[:, None, None] + 3
     return Precision(
-        places=bundle.points, points=points, shapes=shapes, own=own,
-        rays=rays, middle=middle, datum=datum, held=held,
+        places=bundle.points, points=points, shapes=shapes, own=own, rays=rays, middle=middle, datum=datum, held=held,
         centres=cameras[at + np.arange(3)[:, None], at + np.arange(3)],
         turns=np.sqrt(poses[:, :3]), lenses=np.sqrt(np.diag(cameras)[POSE * photos :].reshape(-1, LENS)),
         sigma=float(np.median(np.sqrt(worst / weights[weights > 0]))) if (weights > 0).any() else np.inf,
@@ -168,6 +159,19 @@ def similarity_of(offsets: np.ndarray) -> np.ndarray:
     o, one = np.zeros_like(x), np.ones_like(x)
     rows = [[one, o, o, o, z, -y, x], [o, one, o, -z, o, x, y], [o, o, one, y, -x, o, z]]
     return np.ascontiguousarray(np.array(rows).transpose(2, 0, 1))
+
+
+def _whole(
+    bundle: Bundle, inverses: np.ndarray, coupling: np.ndarray, of_points: np.ndarray, own: np.ndarray, size: int
+) -> np.ndarray:
+    """(7,D) the similarity by which the points follow photos and lenses as a whole: those that are known well, since a
+    ray alone leaves its point where it is."""
+    open_ = np.trace(own, axis1=1, axis2=2)
+    counted = of_points * (open_ < FEEBLE**2 * np.median(open_))[:, None, None]
+    towards = bundle_cpu.shape_response(
+        bundle.photo, bundle.lens_of, bundle.starts, len(bundle.centres), inverses, coupling, counted, size
+    )
+    return np.asarray(np.linalg.solve(np.einsum("pij,pik->jk", counted, counted), towards))
 
 
 def _similarities(bundle: Bundle, middle: np.ndarray) -> np.ndarray:
