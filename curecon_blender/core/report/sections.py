@@ -126,7 +126,7 @@ def _accuracy(site: Site, pictures: tuple[Picture, ...]) -> Section:
         rows.append((Text("Reprojection error, mean"), Text("{:.2f} pixels", correct.reprojection_error)))
     rows += _precision_rows(correct)
     for dome in correct.domes:
-        rows.append((Text("Bend: the flight's edge against its middle, by the photos' {}", Text(dome.source)),
+        rows.append((Text("Bend: the flight's edge against its middle, by {}", Text(dome.source)),
                      f"{dome.bend:+.2f} m ± {dome.sigma:.2f} m"))
     if correct.focal_sigma is not None:
         rows.append((Text("Left open of the focal length"), f"{100 * correct.focal_sigma:.2f} %"))
