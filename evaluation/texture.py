@@ -71,7 +71,7 @@ def evaluate(
         if view.name not in options.exclude:
             continue
         photo = images.read_rgb(workspace / view.image)
-        picture, shown = render(textured, pages, view)
+        picture, _, shown = render(textured, pages, view)
         counted = (shown >= 0) & ~textured.filled[np.maximum(shown, 0)]
         if not counted.any():
             continue

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Make the sample site: `python samples/make_site.py photos|depth|cloud|nadir [--out DIR] [--photos 1 2 ...]`.
+"""Make the sample site: `python samples/make_site.py photos|depth|cloud|looks|nadir [--out DIR] [--photos 1 2 ...]`.
 
 photos  renders the drone photos and writes the true poses (default: samples/tulou)
 depth   writes each photo's exact z-depth as DIR/NAME.npz: key `depth`, (H, W) float32 metres, 0 in the sky
 cloud   rebuilds truth/cloud.npz from depth maps (DIR as made by `depth`; made in a temporary folder if left out)
+looks   renders truth/looks, the views that no photo has, for evaluation.looks
 nadir   renders the second flight, straight down with targets on the ground to DIR
 nadir-small  makes the samples/tulou_nadir that is kept, two thirds as large, of the second flight in DIR
 nadir-depth  writes the z-depth of its pinhole pictures, as `depth` does (see tulou/README.md)
@@ -31,6 +32,10 @@ from nadir_flight import (
 )
 from PIL import Image
 from site_flight import LATITUDE, LONGITUDE, TAKE_OFF, UTC_OFFSET, Shot, develop, flight, save_photo
+from site_looks import FOCAL as LOOKS_FOCAL
+from site_looks import HEIGHT as LOOKS_HEIGHT
+from site_looks import UNIT, looks, packed, write_picture
+from site_looks import WIDTH as LOOKS_WIDTH
 from site_scene import (
     FOCAL,
     HEIGHT,
@@ -122,12 +127,38 @@ def render_depths(
             scene.render.filepath = f"{scratch}/{shot.name}.exr"
             bpy.ops.render.render(write_still=True)
         for shot in shots:  # in a second round: loading an image makes Cycles build its scene anew
-            image = bpy.data.images.load(f"{scratch}/{shot.name}.exr")
-            pixels = np.empty(width * height * 4, np.float32)
-            image.pixels.foreach_get(pixels)
-            bpy.data.images.remove(image)
-            depth = pixels.reshape(height, width, 4)[::-1, :, 0]
+            depth = read_exr(f"{scratch}/{shot.name}.exr", width, height)
             np.savez_compressed(out / f"{Path(shot.name).stem}.npz", depth=depth)
+
+
+def read_exr(path: str, width: int, height: int) -> np.ndarray:
+    """The first channel (H, W) float32 of an EXR, row 0 at the top."""
+    image = bpy.data.images.load(path)
+    pixels = np.empty(width * height * 4, np.float32)
+    image.pixels.foreach_get(pixels)
+    bpy.data.images.remove(image)
+    return pixels.reshape(height, width, 4)[::-1, :, 0]
+
+
+def render_looks(out: Path) -> None:
+    """Render the views that no photo has: out/NN.jpg, and their exact depth and poses in out/looks.npz."""
+    out.mkdir(parents=True, exist_ok=True)
+    poses = looks()
+    scene = make_scene()
+    with tempfile.TemporaryDirectory() as scratch:
+        for kind, suffix in ((lambda: set_photo_renderer(scene, 4), "png"), (lambda: set_depth_renderer(scene), "exr")):
+            kind()
+            set_camera(scene, LOOKS_FOCAL, LOOKS_WIDTH, LOOKS_HEIGHT)
+            for number, cam_from_world in enumerate(poses):
+                aim(scene, cam_from_world)
+                scene.render.filepath = f"{scratch}/{number}.{suffix}"
+                bpy.ops.render.render(write_still=True)
+        depths = []
+        for number, cam_from_world in enumerate(poses):
+            write_picture(f"{scratch}/{number}.png", str(out / f"{number + 1:02d}.jpg"))
+            depths.append(packed(read_exr(f"{scratch}/{number}.exr", LOOKS_WIDTH, LOOKS_HEIGHT), cam_from_world))
+    np.savez_compressed(out / "looks.npz", depth=np.stack(depths), unit=np.float64(UNIT), cam_from_world=poses,
+                        focal=np.float64(LOOKS_FOCAL))
 
 
 def build_cloud(shots: list[Shot], depth_folder: Path, path: Path) -> None:
@@ -143,7 +174,7 @@ def build_cloud(shots: list[Shot], depth_folder: Path, path: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("photos", "depth", "cloud", "nadir", "nadir-small", "nadir-depth"))
+    parser.add_argument("what", choices=("photos", "depth", "cloud", "looks", "nadir", "nadir-small", "nadir-depth"))
     parser.add_argument("--out", type=Path, help="photos: the site's folder; depth and cloud: that of the depth maps")
     parser.add_argument("--photos", type=int, nargs="+", help="numbers of the photos to render (default: all)")
     parser.add_argument("--samples", type=int, default=4, help="rays a pixel of the photos (default: 4)")
@@ -155,6 +186,8 @@ def main() -> None:
         lens = f"PINHOLE {WIDTH} {HEIGHT} {FOCAL} {FOCAL} {WIDTH / 2} {HEIGHT / 2}"
         write_model(shots, lens, out / "truth")
         render_photos(chosen, out, arguments.samples)
+    elif arguments.what == "looks":
+        render_looks(arguments.out or TULOU / "truth" / "looks")
     elif arguments.what != "cloud":
         if arguments.out is None:
             parser.error(f"{arguments.what} needs --out")

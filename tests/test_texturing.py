@@ -74,7 +74,7 @@ def errors(mesh: Mesh, pages: list[np.ndarray], index: float) -> np.ndarray:
     """Differences (n,3), 0 to 255, of a render from the scene's truth, from a ring's place between its cameras."""
     view = box_scene.make_view(1, 8) if index == 1 else box_scene.make_view(int(2 * index), 16, elevation=50)
     truth = box_scene.cast(view)[1].astype(np.float32)
-    picture, shown = render(mesh, pages, view)
+    picture, _, shown = render(mesh, pages, view)
     counted = (shown >= 0) & ~mesh.filled[np.maximum(shown, 0)]
     difference: np.ndarray = gain(picture[counted], truth[counted]) * picture[counted] - truth[counted]
     return difference

@@ -43,7 +43,7 @@ def compare(textured: Mesh, component: Component, workspace: Path, reporter: Rep
     for number in sorted(set(np.linspace(0, len(views) - 1, MOST).round().astype(int).tolist())):
         reporter.check_cancelled()
         photo = images.read_rgb(workspace / views[number].image)
-        picture, shown = render(textured, pages, views[number])
+        picture, _, shown = render(textured, pages, views[number])
         counted = (shown >= 0) & ~textured.filled[np.maximum(shown, 0)]
         if picture.shape == photo.shape and counted.mean() >= LEAST_SHOWN:
             picture = matched(picture, photo, counted)

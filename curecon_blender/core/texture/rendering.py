@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The textured mesh as a photo's camera sees it, to be held beside the photo."""
+"""A mesh with its texture or its vertex colours, drawn unlit as a camera sees it, to be held beside a photo."""
 
 from __future__ import annotations
 
@@ -15,34 +15,51 @@ from .rasterise import inverse_depth_buffer, scan_convert
 from .visibility import in_camera, project
 
 
-def render(mesh: Mesh, pages: list[np.ndarray], view: View) -> tuple[np.ndarray, np.ndarray]:
-    """The textured mesh as `view` sees it: (H,W,3) uint8 sRGB, unlit, and the face at each pixel (H,W) int32, -1 where
-    there is none. Texels are averaged where several fall on a pixel."""
-    assert mesh.uv is not None and mesh.page is not None
+def render(mesh: Mesh, pages: list[np.ndarray], view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The mesh as `view` sees it: (H,W,3) uint8 sRGB, unlit; z-depth (H,W) float32, 0 where there is none; and the face
+    at each pixel (H,W) int32, -1 where there is none. Texels are averaged where several fall on a pixel."""
     camera = in_camera(mesh.vertices, view)
     corners = project(camera, view.K)[mesh.faces]
     with np.errstate(divide="ignore"):
         inverse = (1 / camera[:, 2])[mesh.faces]
     nearest = inverse_depth_buffer(corners, inverse, view.width, view.height).ravel()
     shown = np.full(view.height * view.width, -1, np.int32)
-    uv = np.zeros((view.height * view.width, 2), np.float32)
+    share_of = np.zeros((view.height * view.width, 3), np.float32)
     for face, pixel, weights in scan_convert(corners, view.width, view.height):
         share = weights * inverse[face]
         depth = share.sum(axis=1)
         front = depth >= nearest[pixel]
         face, pixel, share, depth = face[front], pixel[front], share[front], depth[front]
         shown[pixel] = face
-        uv[pixel] = np.einsum("nk,nkc->nc", share / depth[:, None], mesh.uv[face])
-    picture = np.zeros((view.height * view.width, 3), np.uint8)
-    levels = _levels(corners, mesh.uv, pages[0].shape[0])
+        share_of[pixel] = share / depth[:, None]
     at = np.flatnonzero(shown >= 0)
+    picture = np.zeros((view.height * view.width, 3), np.uint8)
+    if mesh.uv is not None:
+        picture[at] = _texels(mesh, pages, corners, shown[at], share_of[at])
+    else:
+        colours = mesh.colours[mesh.faces[shown[at]]].astype(np.float32)
+        picture[at] = np.rint(np.einsum("nk,nkc->nc", share_of[at], colours))
+    with np.errstate(divide="ignore"):
+        z = np.where(nearest > 0, 1 / nearest, 0).astype(np.float32)
+    shape = view.height, view.width
+    return picture.reshape(*shape, 3), z.reshape(shape), shown.reshape(shape)
+
+
+def _texels(
+    mesh: Mesh, pages: list[np.ndarray], corners: np.ndarray, face: np.ndarray, share: np.ndarray
+) -> np.ndarray:
+    """Colours (n,3) uint8 at barycentric places `share` (n,3) of faces (n,)."""
+    assert mesh.uv is not None and mesh.page is not None
+    uv = np.einsum("nk,nkc->nc", share, mesh.uv[face])
+    levels, page_of = _levels(corners, mesh.uv, pages[0].shape[0])[face], mesh.page[face]
+    result = np.zeros((len(face), 3), np.uint8)
     for number, page in enumerate(pages):
-        for level in np.unique(levels[shown[at]]):
-            here = at[(mesh.page[shown[at]] == number) & (levels[shown[at]] == level)]
+        for level in np.unique(levels):
+            here = np.flatnonzero((page_of == number) & (levels == level))
             side = max(1, page.shape[0] >> int(level))
             small = page if level == 0 else cv2.resize(page, (side, side), interpolation=cv2.INTER_AREA)
-            picture[here] = sample(small, uv[here, 0] * side, (1 - uv[here, 1]) * side)
-    return picture.reshape(view.height, view.width, 3), shown.reshape(view.height, view.width)
+            result[here] = sample(small, uv[here, 0] * side, (1 - uv[here, 1]) * side)
+    return result
 
 
 def _levels(corners: np.ndarray, uv: np.ndarray, side: int) -> np.ndarray:
