@@ -26,7 +26,6 @@ class Settings:
     scheduler: str = ""
     cache: Path | None = None
     sound: bool = False
-    made_by: str = ""
 
     @property
     def import_paths(self) -> list[Path]:
@@ -49,5 +48,4 @@ def settings(context: bpy.types.Context) -> Settings:
         worker_python=Path(bpy.path.abspath(preferences.worker_python or sys.executable)),
         scheduler=preferences.scheduler.strip(),
         cache=Path(bpy.path.abspath(preferences.cache)) if preferences.cache else None, sound=preferences.sound,
-        made_by=preferences.made_by.strip(),
     )

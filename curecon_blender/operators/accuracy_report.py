@@ -12,7 +12,6 @@ from bpy.app.translations import pgettext_rpt as rpt_
 
 from ..core.base.options import REPORT
 from ..languages import current
-from ..preferences import settings
 from . import paths, running
 from .running import WorkerOperator
 
@@ -20,10 +19,11 @@ FONT = "Noto Sans CJK Regular.woff2"  # of Blender's own: Latin, Greek, Cyrillic
 
 
 def report_arguments(context: bpy.types.Context, workspace: Path | None, site: str, by: str, when: str) -> list[str]:
-    """The worker's arguments; what is empty is as the scene, the preferences and Blender's language have it."""
+    """The worker's arguments; what is empty is as the scene and Blender's language have it."""
+    scene = context.scene.curecon
     font = Path(bpy.utils.system_resource("DATAFILES", path="fonts")) / FONT
     told = {
-        "--name": site or context.scene.curecon.present.title, "--by": by or settings(context).made_by, "--when": when,
+        "--name": site or scene.present.title, "--by": by or scene.credit, "--when": when,
         "--language": current(), "--font": str(font) if font.is_file() else "",
     }
     return [REPORT, str(workspace), *(f"{flag}={value}" for flag, value in told.items() if value)]
@@ -42,7 +42,7 @@ page, and open the page"""
         name="Site", description="The site's name; empty: the title of its sheets, or else the photos' folder"
     )
     by: bpy.props.StringProperty(  # type: ignore[valid-type]
-        name="Made By", description="Who made the record; empty: as the add-on's preferences say"
+        name="Made By", description="Who made the record; empty: the credit of its exports"
     )
     when: bpy.props.StringProperty(  # type: ignore[valid-type]
         name="Date", description="When the record was made, if the report should say it"

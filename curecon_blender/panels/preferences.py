@@ -54,9 +54,6 @@ class CURECON_AP_preferences(bpy.types.AddonPreferences):
         name="Sound at the End", description="A tone when a job of more than a minute is done", default=False,
     )
 
-    made_by: StringProperty(
-        name="Made By", description="Who makes the records, for the accuracy report; empty: it does not say",
-    )
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
@@ -68,7 +65,6 @@ class CURECON_AP_preferences(bpy.types.AddonPreferences):
         layout.prop(self, "scheduler", placeholder="This computer alone")
         layout.prop(self, "cache", placeholder="Beside the photos")
         layout.prop(self, "sound")
-        layout.prop(self, "made_by")
         _draw_self_check(layout, context)
 
 

@@ -106,8 +106,8 @@ try:
             known = kind.bl_rna.properties.get(option.name)
             assert known is None or not argument.choices or tuple(known.enum_items.keys()) == argument.choices
     # So it does for a report: its site, whose it is, and letters for all of it.
-    properties.present.title = "-Eryi Lou"
-    told = parser().parse_args(report_arguments(bpy.context, folder, site="", by="-A", when=""))
+    properties.present.title, properties.credit = "-Eryi Lou", "-A"
+    told = parser().parse_args(report_arguments(bpy.context, folder, site="", by="", when=""))
     assert (told.workspace, told.name, told.by, told.language) == (folder, "-Eryi Lou", "-A", "")
     assert told.font.is_file()
 
