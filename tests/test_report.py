@@ -20,7 +20,8 @@ from curecon_blender.core.base import language
 from curecon_blender.core.base.errors import WorkspaceError
 from curecon_blender.core.base.language import Text
 from curecon_blender.core.base.records import Frame
-from curecon_blender.core.cloud.ply import Cloud
+from curecon_blender.core.cloud.edits import write_removed
+from curecon_blender.core.cloud.ply import Cloud, point_count
 from curecon_blender.core.report.document import Section, Table, length
 from curecon_blender.core.report.figures import Residuals
 from curecon_blender.core.report.fonts import LATIN, letters_of
@@ -115,6 +116,15 @@ def test_a_photo_that_is_gone_is_told_and_ends_no_report(finished: tuple[Path, R
     assert told["provenance"]["photos"][0]["sha256"] == ""
     assert told["sentences"]["Provenance"].count("1 of them")
     assert "no mesh yet" in told["sentences"]["Authenticity"] and told["parts"][0]["integrity"]["filled"] is None
+
+
+def test_a_cloud_without_points_is_told(finished: tuple[Path, Run], tmp_path: Path) -> None:
+    workspace = tmp_path / "w"
+    shutil.copytree(finished[0], workspace)
+    cloud = workspace / "cloud.ply"
+    write_removed(cloud, np.ones(point_count(cloud), bool))
+    done = curecon("report", workspace)
+    assert done.code == WorkspaceError.exit_code and "removed by hand" in done.summary["error"]
 
 
 def test_a_folder_without_a_cloud_has_no_report(tmp_path: Path) -> None:

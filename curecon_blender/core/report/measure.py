@@ -13,6 +13,7 @@ from PIL import Image
 
 from ..adjust.precision_record import Precision, read_precision
 from ..adjust.record import Accuracy, PhotoResidual, PointResidual, read_accuracy
+from ..base.errors import WorkspaceError
 from ..base.ground import LEVEL, lowest_wide_level
 from ..base.messages import Reporter
 from ..base.records import Component, Frame, Photo, View
@@ -109,6 +110,9 @@ def measure(
     cloud = standing.cloud(read_cloud(path))
     removed = read_removed(path, len(cloud))
     kept = cloud if removed is None else cloud.take(~removed)
+    if not len(kept):
+        raise WorkspaceError(f"All points of {path} were removed by hand.", path=path,
+                             remedy="Take points back in, or run Reconstruct again.")
     near, reach = subject(kept.points)
     shown = kept.take(near)
     bare = workspace / mesh_file(component.index)
