@@ -180,6 +180,14 @@ class TestMetadata:
         told = read_metadata(save(tmp_path / "x.jpg", 1, exif=exif(), xmp=packet))
         assert told.focal_px == pytest.approx(expected * WIDTH / 3200)
 
+    def test_two_calibrated_focal_lengths_are_as_unsure_as_they_differ(self, tmp_path: Path) -> None:
+        """A Phantom 4 Multispectral tells 1913 pixels beside 1973 and 1955."""
+        packet = _calibrated().replace(b"/>", b' drone-dji:CalibratedFocalLength="1913.33"/>')
+        told = read_metadata(save(tmp_path / "x.jpg", 1, exif=exif(), xmp=packet))
+        assert told.focal_sigma == pytest.approx(1 - 1913.33 / math.sqrt(1973 * 1955), rel=0.05)
+        one = read_metadata(save(tmp_path / "y.jpg", 1, exif=exif(), xmp=_calibrated()))
+        assert one.focal_sigma is not None and one.focal_sigma < 0.01
+
     def test_a_calibration_that_cannot_be_this_lens_is_not_used(self, tmp_path: Path) -> None:
         packet = DJI_ATTRIBUTES.replace(
             b"/>", b' drone-dji:CalibratedFocalLength="9000" drone-dji:CalibratedOpticalCenterX="1600"/>'

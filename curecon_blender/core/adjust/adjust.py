@@ -256,8 +256,8 @@ def adjust_model(
         adjusted = _adjusted(mapped.without(kept_back), sources, reporter.check_cancelled)
         error = _error(adjusted, mapped, kept_back)
         mappers = _error(fit_points(mapped.without(kept_back)), mapped, kept_back)
-        focal = np.abs(adjusted.lenses - mapped.known_lenses)[:, 0] / mapped.lens_sigmas[:, 0]
-        if error < WORSE * mappers and (best == NOTHING or focal.max() < CONTRADICTED):
+        off = np.abs(adjusted.lenses - mapped.known_lenses) / mapped.lens_sigmas
+        if error < WORSE * mappers and (best == NOTHING or off.max() < CONTRADICTED):
             break
         if best == MAKER:
             reporter.warning(

@@ -25,6 +25,7 @@ _FILM_DIAGONAL = math.hypot(36, 24)  # mm
 # Sigmas of focal lengths as shares: measured by the maker for this camera; the design's; a 35 mm equivalent, which is
 # rounded to whole millimetres and counts by the sensor's diagonal or by its width.
 _MEASURED_SIGMA, _NOMINAL_SIGMA, _EQUIVALENT_SIGMA = 0.005, 0.02, 0.04
+_NO_FOCAL = 0.2  # share by which a second calibrated focal length differs that is none, or not in pixels
 _FOCAL_PLANE_UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # EXIF FocalPlaneResolutionUnit, in mm
 # Sensor widths in mm of the drone cameras whose files carry no 35 mm equivalent (makers' specifications).
 _SENSOR_WIDTHS = {
@@ -149,15 +150,17 @@ def _taken(exif: Mapping[int, Any]) -> tuple[float, float]:
 
 
 def _calibrated_focal(dji: Mapping[str, str], longest: int, taken: float) -> tuple[float | None, float]:
-    """The drone's calibration, in pixels of the picture as taken, brought to this picture's size; its sigma as a
-    share."""
+    """The drone's calibration, in pixels of the picture as taken, brought to this picture's size; its sigma as a share:
+    where it tells two focal lengths, neither is better than their difference."""
     if centre := positive(dji.get("CalibratedOpticalCenterX", dji.get("CalibratedOpticalCenter/X"))):
         taken = 2 * centre
     scale = longest / taken if taken else 1.0
     dewarp = dji.get("DewarpData", "").partition(";")[2].split(",")  # date; fx, fy, cx, cy, k1...
-    if len(dewarp) >= 9 and (fx := positive(dewarp[0])) and (fy := positive(dewarp[1])):
-        return scale * math.sqrt(fx * fy), _MEASURED_SIGMA
     calibrated = positive(dji.get("CalibratedFocalLength", dji.get("CalibratedFocalLength/X")))
+    if len(dewarp) >= 9 and (fx := positive(dewarp[0])) and (fy := positive(dewarp[1])):
+        measured = math.sqrt(fx * fy)
+        apart = abs(calibrated / measured - 1) if calibrated else 0.0
+        return scale * measured, max(_MEASURED_SIGMA, apart if apart < _NO_FOCAL else 0.0)
     return (scale * calibrated if calibrated else None), _NOMINAL_SIGMA
 
 

@@ -1,33 +1,41 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The sparse stage's progress: what is done, and how many seconds are left by what each phase has taken so far."""
+"""The sparse stage's progress: what is done, and how many seconds are left by what each phase has taken so far.
+
+Work is counted in processor seconds, which stay the same when other programs come and go. What those do to the clock is
+measured apart, from the last half minute.
+"""
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass
 
 from ..base.messages import Reporter
 from .features import FeatureSettings
+from .parallel import threads
 
 FEATURES, MATCHING, MAPPING, COLOURS = "features", "matching", "mapping", "colours"
 
-# Seconds on a reference computer. Only their ratios matter, and they only until a phase has shown its own pace.
-_FEATURE_COST = 0.8  # a photo at 1200 pixels
-_PAIR_COST = 0.07  # a pair of photos with 4096 features each
-_INLIER_COST, _TYPICAL_INLIERS = 7e-5, 500  # mapping, a verified match; as many as a pair of photos may have
+# Processor seconds on a reference computer. Only their ratios matter, and they only until a phase has shown its own
+# pace. Features and matching are spread over all threads, mapping and colours mostly use one.
+_FEATURE_COST = 0.75  # a photo at 1200 pixels
+_PAIR_COST = 0.11  # a pair of photos with 4096 features each
+_INLIER_COST, _TYPICAL_INLIERS = 8e-5, 500  # mapping, a verified match; as many as a pair of photos may have
 _COLOUR_COST = 0.03  # a photo
 _TRUST = 0.05  # share of a phase that counts as much as what was expected of it
-_MEMORY = 0.4  # share of a phase, whose last units tell its pace
+_LATELY = 30.0  # seconds, from which is told how much of the processor other programs leave
 
 
 @dataclass
 class _Phase:
     units: float
-    cost: float  # expected seconds a unit, on the reference
+    cost: float  # expected processor seconds a unit, on the reference
+    threads: int
     done: float = 0.0
-    fresh: float = 0.0  # of those done, in this run and lately
-    seconds: float = 0.0  # that they took
+    fresh: float = 0.0  # of those done, in this run
+    seconds: float = 0.0  # of the processor, that they took
 
 
 class Meter:
@@ -40,14 +48,16 @@ class Meter:
     def __init__(self, reporter: Reporter, settings: FeatureSettings, *, photos: int, pairs: int, maps: bool) -> None:
         self.reporter = reporter
         self._phases = {
-            FEATURES: _Phase(photos, _FEATURE_COST * (settings.image_size / 1200) ** 2),
-            MATCHING: _Phase(pairs, _PAIR_COST * (settings.max_features / 4096) ** 2),
-            MAPPING: _Phase(photos if maps else 0, 0.0),
-            COLOURS: _Phase(photos, _COLOUR_COST),
+            FEATURES: _Phase(photos, _FEATURE_COST * (settings.image_size / 1200) ** 2, threads()),
+            MATCHING: _Phase(pairs, _PAIR_COST * (settings.max_features / 4096) ** 2, threads()),
+            MAPPING: _Phase(photos if maps else 0, 0.0, 1),
+            COLOURS: _Phase(photos, _COLOUR_COST, 1),
         }
         self.expect_matches(_TYPICAL_INLIERS * pairs)
         self._phase = ""
-        self._entered = self._started = time.monotonic()
+        self._started = time.monotonic()
+        self._last = time.monotonic(), time.process_time()
+        self._waited = self._worked = 0.0  # seconds lately: of the clock, and that the work would take undisturbed
         self._found, self._told = 0.0, 0
 
     def expect_matches(self, inliers: float) -> None:
@@ -57,7 +67,7 @@ class Meter:
 
     def enter(self, phase: str, found: float = 0.0) -> None:
         """Begin a phase, of which so many units were found done from an earlier run."""
-        self._phase, self._entered = phase, time.monotonic()
+        self._phase, self._last = phase, (time.monotonic(), time.process_time())
         self._phases[phase].done += found
         if found:
             self._started = time.monotonic()
@@ -66,11 +76,12 @@ class Meter:
 
     def advance(self, units: float = 1.0) -> None:
         """So many units more are done. Raises Cancelled."""
-        phase, now = self._phases[self._phase], time.monotonic()
-        keep = max(1 - units / (_MEMORY * max(phase.units, 1)), 0.0)  # other programs come and go
-        phase.done, phase.fresh = phase.done + units, keep * phase.fresh + units
-        phase.seconds = keep * phase.seconds + now - self._entered
-        self._entered = now
+        phase, now, used = self._phases[self._phase], time.monotonic(), time.process_time()
+        waited, worked = now - self._last[0], used - self._last[1]
+        self._last = now, used
+        phase.done, phase.fresh, phase.seconds = phase.done + units, phase.fresh + units, phase.seconds + worked
+        keep = math.exp(-waited / _LATELY)
+        self._waited, self._worked = keep * self._waited + waited, keep * self._worked + worked / phase.threads
         elapsed, left = now - self._started, self.seconds_left()
         share = elapsed / max(elapsed + left, 1e-9)
         self._told = max(self._told, min(int(self._found + (100 - self._found) * share), 99))
@@ -81,14 +92,13 @@ class Meter:
 
     def seconds_left(self) -> float:
         expected = sum(phase.cost * phase.fresh for phase in self._phases.values())
-        taken = sum(phase.seconds for phase in self._phases.values())
-        slowness = (taken + 0.1) / (expected + 0.1)
+        slowness = (sum(phase.seconds for phase in self._phases.values()) + 0.1) / (expected + 0.1)
         left = 0.0
         for phase in self._phases.values():
             prior = max(_TRUST * phase.units, 1.0)
             pace = (prior * phase.cost * slowness + phase.seconds) / (prior + phase.fresh)
-            left += pace * max(phase.units - phase.done, 0.0)
-        return left
+            left += pace * max(phase.units - phase.done, 0.0) / phase.threads
+        return left * (self._waited + 0.1) / (self._worked + 0.1)
 
     def _share_done(self) -> float:
         everything = sum(phase.cost * phase.units for phase in self._phases.values())
