@@ -275,7 +275,7 @@ DEPTH = Stage(
     inputs=_weights, in_budget=True,
 )
 STAGES = {stage.name: stage for stage in (
-    Stage(name="photos", version=4, weight=0.02, files=(photos_record.FILE_NAME,), run=_check, inputs=_photo_files,
+    Stage(name="photos", version=5, weight=0.02, files=(photos_record.FILE_NAME,), run=_check, inputs=_photo_files,
           load=_load_photos, options=("surplus",)),
     Stage(name="sparse", version=7, weight=0.2, files=("sparse/mapped/[0-9]*/*",), run=_find_cameras,
           options=("preset.sfm_image_size", "preset.max_features"), inputs=_model),
