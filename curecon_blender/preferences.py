@@ -5,15 +5,27 @@ workspaces go. panels/preferences.py shows it."""
 
 from __future__ import annotations
 
+import hashlib
+import importlib.util
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
 
+from .core.run.libraries import RECORD
+
 # The add-on's name in Blender is that of the extension (bl_ext.<repository>.curecon_blender), one package up from this
 # one; in a source checkout this package stands alone.
 ADDON = __package__.rpartition(".")[0] or __package__
+LOCKS = Path(__file__).resolve().parent.parent / "wheels"  # with lock files where the zip brings no libraries itself
+
+
+def user_folder() -> Path:
+    """The extension's own folder of the user."""
+    if ADDON.startswith("bl_ext."):
+        return Path(bpy.utils.extension_path_user(ADDON, create=True))
+    return Path(bpy.utils.user_resource("CONFIG", path="curecon", create=True))  # a source checkout
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,15 +38,40 @@ class Settings:
     scheduler: str = ""
     cache: Path | None = None
     sound: bool = False
+    indexes: tuple[str, ...] = ()
+
+    @property
+    def is_blenders(self) -> bool:
+        """Whether Blender's own Python does the work."""
+        return self.worker_python == Path(sys.executable)
 
     @property
     def import_paths(self) -> list[Path]:
-        """What goes on the worker's PYTHONPATH: the extension's folder and, for Blender's own Python, its wheels."""
+        """What goes on the worker's PYTHONPATH: the extension's folder, the libraries that were fetched for this
+        Python and, for Blender's own, its wheels."""
         root = Path(__file__).resolve().parent.parent
-        if self.worker_python != Path(sys.executable):
-            return [root]
+        fetched = [self.libraries] if self.has_libraries else []
+        if not self.is_blenders:
+            return [root, *fetched]
         wheels = [Path(entry) for entry in sys.path if Path(entry).parts[-1:] == ("site-packages",)]
-        return [root, *wheels]
+        return [root, *fetched, *wheels]
+
+    @property
+    def libraries(self) -> Path:
+        """Where Get Libraries puts what this Python needs."""
+        name = f"py{sys.version_info.major}{sys.version_info.minor}" if self.is_blenders else hashlib.sha256(
+            str(self.worker_python).encode()).hexdigest()[:8]
+        return user_folder() / "libraries" / name
+
+    @property
+    def has_libraries(self) -> bool:
+        return (self.libraries / RECORD).is_file()
+
+    @property
+    def lacks_libraries(self) -> bool:
+        """Whether Blender's own Python is to do the work and has nothing to do it with, or fetching was cut off."""
+        begun = self.libraries.is_dir() or (self.is_blenders and importlib.util.find_spec("torch") is None)
+        return LOCKS.is_dir() and begun and not self.has_libraries
 
 
 def settings(context: bpy.types.Context) -> Settings:
@@ -48,4 +85,5 @@ def settings(context: bpy.types.Context) -> Settings:
         worker_python=Path(bpy.path.abspath(preferences.worker_python or sys.executable)),
         scheduler=preferences.scheduler.strip(),
         cache=Path(bpy.path.abspath(preferences.cache)) if preferences.cache else None, sound=preferences.sound,
+        indexes=tuple(preferences.indexes.split()),
     )

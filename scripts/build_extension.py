@@ -71,6 +71,7 @@ def build_with_wheels(light: Path, targets: list[Target], cache: Path, output: P
         source = Path(folder)
         with zipfile.ZipFile(light) as archive:
             archive.extractall(source)
+        shutil.rmtree(source / "wheels")  # its locks tell the add-on that there are no libraries in the zip
         (source / "wheels").mkdir()
         for target in targets:
             wheel_locks.fetch(target, cache)

@@ -41,13 +41,16 @@ TABS = 24  # pixels at the sidebar's right edge
 
 def tour(
     folder: Path, *, photos: int = FEW, max_image_size: int = 0, samples: int = 16, patience: float = 1800,
-    full: bool = True,
+    full: bool = True, one_press: bool = False, language: str = "",
+    worker: Path = Path(sys.executable), index: str = "",
 ) -> dict[str, Any]:
     """Run the tour with so many photos of the sample site; returns its report.
 
     `max_image_size` in pixels, 0 for the quality's own; `patience` is what one job may take, in seconds. `full`
-    adds what the short tour leaves out (see tests/window/tour.py). Raises KeyError without CURECON_BLENDER,
-    RuntimeError with Blender's words when the tour did not come to its end.
+    adds what the short tour leaves out, `one_press` takes the short way (see tests/window/tour.py); `language` is
+    one of Blender's, such as zh_HANS; `worker` is the Python that does the work, and with `index` one that first gets
+    its libraries from that package index. Raises KeyError without CURECON_BLENDER, RuntimeError with Blender's words
+    when the tour did not come to its end.
     """
     command = shlex.split(os.environ[VARIABLE])
     folder = folder.resolve()
@@ -62,8 +65,9 @@ def tour(
     (archive,) = folder.glob("curecon_blender-*.zip")
     task = folder / "task.json"
     task.write_text(json.dumps({
-        "out": str(folder), "archive": str(archive), "photos": str(site), "worker_python": sys.executable,
+        "out": str(folder), "archive": str(archive), "photos": str(site), "worker_python": str(worker), "index": index,
         "max_image_size": max_image_size, "samples": samples, "patience": patience, "full": full,
+        "one_press": one_press, "language": language,
     }))
     log = folder / "blender.log"
     with log.open("w") as said:
@@ -113,11 +117,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, help="is emptied first")
     parser.add_argument("--photos", type=int, default=FEW, help="how many of 33 (default: %(default)s)")
+    parser.add_argument("--one-press", action="store_true", help="the short way: one button after the drop")
+    parser.add_argument("--language", default="", help="of Blender's words, such as zh_HANS")
+    parser.add_argument("--worker", type=Path, default=Path(sys.executable), help="the Python that does the work")
+    parser.add_argument("--index", default="", help="package index from which that Python gets its libraries first")
     parser.add_argument("--manual", type=Path, help="folder for the manual's pictures")
     arguments = parser.parse_args()
     if VARIABLE not in os.environ:
         parser.error(f"set {VARIABLE} to the command that starts Blender 5.2 with a window")
-    report = tour(arguments.folder, photos=arguments.photos)
+    report = tour(
+        arguments.folder, photos=arguments.photos, one_press=arguments.one_press, language=arguments.language,
+        worker=arguments.worker, index=arguments.index,
+    )
     if arguments.manual is not None:
         crop_manual(arguments.folder.resolve(), report, arguments.manual)
     print(json.dumps(report, indent=1))

@@ -8,6 +8,7 @@ import importlib.util
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import venv
@@ -104,6 +105,15 @@ def test_the_photo_check_and_presets(blender: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="this Python has no torch for the worker")
+def test_one_press_makes_a_model_and_a_picture(
+    blender: Path, finished: tuple[Path, Run], site_photos: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(finished[0], tmp_path / "workspace")
+    run_script(blender, "check_one_press.py", site_photos, tmp_path / "workspace", Path(sys.executable),
+               resources=tmp_path / "user")
+
+
+@pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="this Python has no torch for the worker")
 def test_the_installation_is_checked(tmp_path: Path) -> None:
     if importlib.util.find_spec("bpy") is None:
         pytest.skip("bpy is not installed in this Python")
@@ -135,7 +145,9 @@ def test_the_zip_holds_the_extension_and_nothing_else(archive: Path) -> None:
     names = zipfile.ZipFile(archive).namelist()
     tops = {name.partition("/")[0] for name in names}
     assert {"blender_manifest.toml", "__init__.py", "curecon_blender"} <= tops
-    assert tops <= {"blender_manifest.toml", "__init__.py", "curecon_blender", "LICENSE"}, tops
+    assert tops <= {"blender_manifest.toml", "__init__.py", "curecon_blender", "LICENSE", "wheels"}, tops
+    locks = {name for name in names if name.startswith("wheels/") and not name.endswith("/")}
+    assert locks == {f"wheels/{target.lock.name}" for target in wheel_locks.TARGETS}  # for Get Libraries
     assert "curecon_blender/core/run/pipeline.py" in names and "curecon_blender/scene/points.py" in names
     assert not [name for name in names if "__pycache__" in name or name.endswith(".pyc")]
 

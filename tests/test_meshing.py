@@ -216,6 +216,22 @@ def test_bad_input_gets_a_clear_error(
     assert caught.value.remedy and caught.value.exit_code == 10
 
 
+def test_a_cancelled_mesh_goes_on_where_it_stopped_and_progress_moves_all_the_while(tmp_path: Path) -> None:
+    def told(seen: list[object]) -> list[int]:
+        return [message.done for message in seen if isinstance(message, Progress)]
+
+    first: list[object] = []
+    with pytest.raises(Cancelled):
+        build(HOUSE, tmp_path, Reporter(first.append, cancelled=lambda: max(told(first), default=0) >= 55))
+    assert any(10 < done < 55 for done in told(first)), "nothing is told while Poisson works"
+    assert told(first) == sorted(told(first))
+    second: list[object] = []
+    mesh = build(HOUSE, tmp_path, Reporter(second.append))
+    assert not any(10 < done < 55 for done in told(second)) and told(second)[-1] == 100
+    assert [path.name for path in tmp_path.iterdir() if path.is_file()] == [], "what was kept stays behind"
+    check_sound(mesh)
+
+
 def test_cancel_between_the_steps(tmp_path: Path) -> None:
     seen: list[object] = []
     reporter = Reporter(seen.append, cancelled=lambda: sum(isinstance(m, Progress) for m in seen) >= 2)

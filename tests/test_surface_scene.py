@@ -93,6 +93,26 @@ def test_a_glb_has_the_colours_and_the_size(exports: Path, name: str) -> None:
     assert np.abs(found_colours(meshes) - QUARTERS).max() <= tolerance
 
 
+def test_a_compressed_glb_comes_back_to_half_a_millimetre(exports: Path) -> None:
+    content = glb_json(exports / "draco.glb")
+    if "KHR_draco_mesh_compression" not in content["extensionsUsed"]:
+        pytest.skip("this Blender comes without Draco")
+    assert "KHR_draco_mesh_compression" in content["extensionsRequired"]
+    assert (exports / "draco.glb").stat().st_size < (exports / "textured.glb").stat().st_size
+    vertices = np.load(exports / "draco.npy")  # as Blender reads it back
+    grid = np.unique(vertices[:, :2].round(3), axis=0)
+    assert len(grid) == 21 * 21 and np.abs(grid - (grid / 0.5).round() * 0.5).max() <= 0.001
+    assert np.abs(vertices[:, 2] - (1 - np.abs(vertices[:, 0] - 5) / 5)).max() <= 0.001
+
+
+def test_a_glb_is_compressed_where_blender_can_and_else_whole(exports: Path) -> None:
+    used, plain = glb_json(exports / "meshopt.glb")["extensionsUsed"], exports / "textured.glb"
+    if any("meshopt" in name for name in used):
+        assert (exports / "meshopt.glb").stat().st_size < plain.stat().st_size
+    else:
+        assert len(glb_json(exports / "meshopt.glb")["accessors"]) == len(glb_json(plain)["accessors"])
+
+
 def test_a_glb_without_a_texture_has_vertex_colours(exports: Path) -> None:
     content, binary = glb_json(exports / "plain.glb"), (exports / "plain.glb").read_bytes()
     start = 20 + struct.unpack("<I", binary[12:16])[0] + 8

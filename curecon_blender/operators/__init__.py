@@ -23,6 +23,8 @@ from . import (
     frame_reset,
     frame_scale,
     import_workspace,
+    libraries,
+    make_model,
     mark_points,
     measure,
     plan_flight,
@@ -38,14 +40,15 @@ from . import (
 )
 
 CLASSES: tuple[type, ...] = (
-    *choose_photos.CLASSES, *check_photos.CLASSES, *reconstruct.CLASSES, *presets.CLASSES, *import_workspace.CLASSES,
+    *choose_photos.CLASSES, *check_photos.CLASSES, *reconstruct.CLASSES, *make_model.CLASSES, *presets.CLASSES,
+    *import_workspace.CLASSES,
     *build_surface.CLASSES, *export_surface.CLASSES, *export_cloud.CLASSES, *accuracy_report.CLASSES,
     *present_elevations.CLASSES, *present_moves.CLASSES, *present_renders.CLASSES, *present_photos.CLASSES,
     *present_sun.CLASSES,
     *frame_scale.CLASSES, *frame_level.CLASSES, *frame_north.CLASSES, *frame_ground.CLASSES, *frame_reset.CLASSES,
     *frame_position.CLASSES, *measure.CLASSES,
     *control_points.CLASSES, *mark_points.CLASSES,
-    *plan_flight.CLASSES, *take_frames.CLASSES, *cloud_points.CLASSES, *self_check.CLASSES,
+    *plan_flight.CLASSES, *take_frames.CLASSES, *cloud_points.CLASSES, *self_check.CLASSES, *libraries.CLASSES,
 )
 
 
@@ -71,6 +74,7 @@ class CURECON_MT_add(bpy.types.Menu):
         layout = self.layout
         layout.operator_context = "INVOKE_DEFAULT"
         layout.operator("curecon.choose_photos", text="Scan from Drone Photos...", icon="FILE_FOLDER")
+        layout.operator("curecon.make_model", text="Textured Model from the Photos", icon="OUTLINER_OB_MESH")
         layout.operator("curecon.import_workspace", icon="IMPORT")
         layout.operator("curecon.add_region", icon="MESH_CUBE")
         layout.separator()

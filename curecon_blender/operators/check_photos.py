@@ -22,6 +22,8 @@ from . import paths, running
 from .job_options import job_options
 from .running import WorkerOperator
 
+CHECKING = "Checking photos"
+
 
 class CURECON_OT_check_photos(WorkerOperator, bpy.types.Operator):
     """Read every photo and say what is usable: cameras, GPS, overlap, blur, exposure, and what each quality costs"""
@@ -29,7 +31,7 @@ class CURECON_OT_check_photos(WorkerOperator, bpy.types.Operator):
     bl_idname = "curecon.check_photos"
     bl_label = "Check Photos"
 
-    task = "Checking photos"
+    task = CHECKING
     panel = "photos"
 
     @classmethod

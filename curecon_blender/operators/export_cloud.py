@@ -17,7 +17,7 @@ from bpy_extras.io_utils import ExportHelper
 from ..core.base.errors import CuReconError
 from ..scene.exchange import Choices, export_cloud
 from ..scene.workspace import clouds_of
-from . import paths, running
+from . import owner, paths, running
 from .export_surface import position_property
 
 
@@ -39,6 +39,7 @@ class CURECON_OT_export_cloud(bpy.types.Operator, ExportHelper):
         return False
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        owner.recall(context)
         self.filepath = str(paths.export_file(context.scene, " cloud.ply"))
         return ExportHelper.invoke(self, context, event)
 
@@ -60,6 +61,7 @@ class CURECON_OT_export_cloud(bpy.types.Operator, ExportHelper):
         except CuReconError as error:
             self.report({"ERROR"}, running.explain(error))
             return {"CANCELLED"}
+        owner.remember(context)
         said = rpt_("{} is written; it carries the site's GPS position.") if exported.has_position else rpt_(
             "{} is written; it carries no GPS position.")
         self.report({"INFO"}, said.format(path.name))

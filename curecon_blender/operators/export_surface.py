@@ -18,7 +18,7 @@ from ..core.base.errors import CuReconError
 from ..languages import translated
 from ..scene.exchange import Choices, export_surfaces
 from ..scene.surface import surfaces_of
-from . import paths, running
+from . import owner, paths, running
 
 FORMS = (
     ("GLB", "GLB", "One file with the texture inside, for the web, presentations and game engines (glTF 2.0)"),
@@ -29,6 +29,11 @@ TEXTURES = (
     ("AUTO", "As It Is", "The pictures as they are, PNG or JPEG"),
     ("JPEG", "JPEG", "Small files that every viewer reads"),
     ("WEBP", "WebP", "Smaller still; older viewers cannot read it"),
+)
+COMPRESSIONS = (
+    ("NONE", "None", "Every viewer reads it"),
+    ("DRACO", "Draco", "About a quarter of the size, exact to half a millimetre, for viewers with Draco"),
+    ("MESHOPT", "Meshopt", "Smaller and exact, quick to open, for viewers with meshopt; Blender 5.2 and later"),
 )
 
 
@@ -51,6 +56,9 @@ class CURECON_OT_export_surface(bpy.types.Operator, ExportHelper):
     texture: EnumProperty(
         name="Texture", description="How the pictures are kept inside the GLB", items=TEXTURES, default="AUTO",
     )
+    compression: EnumProperty(
+        name="Compression", description="How the mesh is kept inside the GLB", items=COMPRESSIONS, default="NONE",
+    )
     unlit: BoolProperty(
         name="Photo Colours", default=True,
         description="Viewers show the photos' colours as they are. Off: viewers light the surface themselves",
@@ -70,6 +78,7 @@ class CURECON_OT_export_surface(bpy.types.Operator, ExportHelper):
         return f".{self.form.lower()}"
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        owner.recall(context)
         self.filepath = str(paths.export_file(context.scene, self.filename_ext))
         return ExportHelper.invoke(self, context, event)
 
@@ -80,6 +89,7 @@ class CURECON_OT_export_surface(bpy.types.Operator, ExportHelper):
         layout.prop(self, "form")
         if self.form == "GLB":
             layout.prop(self, "texture")
+            layout.prop(self, "compression")
             layout.prop(self, "unlit")
         layout.prop(self, "position")
         layout.prop(properties, "licence")
@@ -90,14 +100,15 @@ class CURECON_OT_export_surface(bpy.types.Operator, ExportHelper):
         items = [item for item in found if item.select_get()] or found
         path = Path(bpy.path.ensure_ext(self.filepath, self.filename_ext))
         choices = Choices(
-            form=self.form, texture=self.texture, unlit=self.unlit, position=self.position,
-            licence=properties.licence, credit=properties.credit,
+            form=self.form, texture=self.texture, compression=self.compression, unlit=self.unlit,
+            position=self.position, licence=properties.licence, credit=properties.credit,
         )
         try:
             exported = export_surfaces(context, items, path, choices)
         except CuReconError as error:
             self.report({"ERROR"}, running.explain(error))
             return {"CANCELLED"}
+        owner.remember(context)
         if exported.has_position:
             said = rpt_("{} is written; it carries the site's GPS position.")
         else:

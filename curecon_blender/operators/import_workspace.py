@@ -15,7 +15,7 @@ import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import BoolProperty, StringProperty
 
-from ..scene import cameras, control, history, points, sidebar, surface, viewport, workspace
+from ..scene import cameras, control, history, points, presentation, sidebar, surface, view, workspace
 from ..scene.surface import surfaces_of
 from ..scene.workspace import Imported, clouds_of
 from . import paths, running
@@ -66,12 +66,14 @@ def _show(
     surface.show_filled(scene, properties.show_filled)
     surface.light(scene, properties.surface_light == "SCENE")
     if imported.surfaces:
-        viewport.show_texture(context, textured=imported.textured)
-        viewport.light(context, properties.surface_light == "SCENE")
-    if imported.cleared and not bpy.app.background:  # a new file, in which the user has unfolded nothing
+        view.show_texture(context, textured=imported.textured)
+        view.light(context, properties.surface_light == "SCENE")
+    known = {workspace.WORKSPACE_KEY, presentation.ROLE_KEY}
+    ours = all(known & {*child.keys()} for child in scene.collection.children)
+    if ours and not bpy.app.background:  # nothing of the user's is folded with it
         bpy.app.timers.register(lambda: sidebar.fold_outliner(bpy.context), first_interval=0.5)  # once it is drawn
     if show and imported.bounds is not None:
-        viewport.turn_to(context, imported.bounds)
+        view.turn_to(context, imported.bounds)
     if imported.surfaces:
         said = rpt_("{:,} points, {:,} faces and {:,} cameras are in the scene.").format(
             imported.points, imported.faces, len(imported.cameras))
@@ -138,7 +140,7 @@ class CURECON_OT_frame_cloud(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         item = [*surfaces_of(context.scene), *clouds_of(context.scene)][0]
         if (bounds := points.bounds(points.subject(item))) is not None:
-            viewport.turn_to(context, bounds)
+            view.turn_to(context, bounds)
         return {"FINISHED"}
 
 

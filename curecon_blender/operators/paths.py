@@ -11,7 +11,7 @@ from pathlib import Path
 import bpy
 
 from ..core.base.errors import PhotoError
-from ..preferences import ADDON, settings
+from ..preferences import settings, user_folder
 from ..scene import site
 
 
@@ -32,10 +32,8 @@ def site_stands(operator: type[bpy.types.Operator], context: bpy.types.Context) 
 
 
 def speeds_file() -> Path:
-    """Where this computer's speed is kept between jobs: the extension's own folder of the user."""
-    if ADDON.startswith("bl_ext."):
-        return Path(bpy.utils.extension_path_user(ADDON, create=True)) / "speeds.json"
-    return Path(bpy.utils.user_resource("CONFIG", path="curecon", create=True)) / "speeds.json"  # a source checkout
+    """Where this computer's speed is kept between jobs."""
+    return user_folder() / "speeds.json"
 
 
 def photos_folder(scene: bpy.types.Scene) -> Path:

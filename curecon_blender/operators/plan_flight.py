@@ -16,7 +16,7 @@ from bpy.props import BoolProperty, StringProperty
 
 from ..core.base.errors import CuReconError
 from ..core.plan.write import write_plan
-from ..scene import flight_plan, viewport
+from ..scene import flight_plan, view
 from . import paths, running
 
 
@@ -60,7 +60,7 @@ photos will show each part"""
         except CuReconError as error:
             self.report({"ERROR"}, running.explain(error))
             return {"CANCELLED"}
-        viewport.show_texture(context, textured=False)
+        view.show_texture(context, textured=False)
         said = rpt_("{} photos in {} flights; {:.0%} of walls and roofs will be in three photos or more.")
         self.report({"INFO"}, said.format(made.photos, len(made.flights), seen.share))
         return {"FINISHED"}

@@ -13,7 +13,7 @@ from ..core.base.errors import WorkspaceError
 from ..core.photos import capture
 from ..languages import translated
 from ..scene import elevations, render_scene, site
-from . import paths, rendering
+from . import owner, paths, rendering
 from .rendering import RenderSeries
 
 
@@ -24,6 +24,7 @@ class CURECON_OT_render_elevations(RenderSeries, bpy.types.Operator):
     bl_label = "Draw Elevations"
 
     def shots(self, context: bpy.types.Context, stage: bpy.types.Scene, folder: Path) -> list[render_scene.Shot]:
+        owner.recall(context)
         self._plan = elevations.plan(context.scene, stage, folder)
         return [elevation.shot for elevation in self._plan.elevations]
 

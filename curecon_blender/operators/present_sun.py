@@ -14,7 +14,7 @@ from ..core.base.errors import CuReconError, WorkspaceError
 from ..core.photos import capture
 from ..core.present import sun
 from ..languages import translated
-from ..scene import daylight, render_scene, site, viewport
+from ..scene import daylight, render_scene, site, view
 from . import paths, running
 
 
@@ -37,7 +37,7 @@ Press again after a change of the settings"""
         except CuReconError as error:
             self.report({"ERROR"}, running.explain(error))
             return {"CANCELLED"}
-        if not viewport.shows_lamps(context):
+        if not view.shows_lamps(context):
             said = rpt_("{} To see it, press Z over the viewport and choose Rendered.").format(said)
         self.report({level}, said)
         return {"FINISHED"}

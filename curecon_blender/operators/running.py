@@ -19,6 +19,7 @@ from ..core.base.messages import Failure, Log, StageStarted, failure
 from ..job import Job, Status, duration
 from ..languages import translated
 from ..preferences import settings
+from ..scene import sidebar
 
 POLL_SECONDS = 0.05
 SLICE_SECONDS = 0.002  # a timer tick begins slices for so long: a long one is alone, since 0.1 seems to hang
@@ -30,10 +31,12 @@ Work = Generator[str | None, None, str]
 STAGE_NAMES = {
     "photos": "Photos", "sparse": "Cameras", "adjust": "Adjustment", "views": "Undistorted photos",
     "depth": "Depth maps", "fusion": "Point cloud", "mesh": "Mesh", "texture": "Texture",
+    "download": "Download", "unpack": "Unpacking",
 }
 
 status = Status()
-# The panel that the job was started from, which shows its progress: "photos", "reconstruct", "surface", "preferences".
+PREFERENCES = "preferences"
+# The panel that the job was started from, which shows its progress: "photos", "reconstruct" ..., or PREFERENCES.
 panel = ""
 _job: Job | None = None
 
@@ -134,6 +137,7 @@ class ModalOperator:
     report: Callable[[set[str], str], None]
     poll_message_set: Callable[..., None]
     _timer: bpy.types.Timer | None = None
+    _in_window = False
     _slices: Work
 
     @classmethod
@@ -149,6 +153,7 @@ class ModalOperator:
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if bpy.app.background or context.window is None:
             return self.execute(context)
+        self._in_window = True
         self._begin(context)
         if (ended := self._go_on(SLICE_SECONDS)) is not None:
             return ended
@@ -207,8 +212,11 @@ class ModalOperator:
             raise
         status.running = False
         if status.failure is not None:
-            level = "WARNING" if status.failure.kind == "cancelled" else "ERROR"
+            # In a window the panel tells of it; a popup beside it would stay until it is clicked away.
+            level = "WARNING" if status.failure.kind == "cancelled" or self._in_window else "ERROR"
             self.report({level}, explain(status.failure))
+            if self._in_window and self.panel != PREFERENCES and status.failure.kind != "cancelled":
+                sidebar.show_tab(bpy.context)
             return {"CANCELLED"}
         self.report({"INFO"}, said)
         status.said = said

@@ -10,31 +10,29 @@ from pathlib import Path
 from typing import Any
 
 import bpy
+from bpy.app.translations import pgettext_iface as iface_
 from bpy.app.translations import pgettext_rpt as rpt_
 
 from ..preferences import settings
 from . import running
 from .running import WorkerOperator
 
-PANEL = "preferences"
-
 
 class CURECON_OT_self_check(WorkerOperator, bpy.types.Operator):
-    """Load the worker's libraries and reconstruct a few synthetic views: says within a minute whether this computer can
-do the work, and what to do if not"""
+    """Reconstruct a little house that is drawn for it: says within a minute whether this computer can do the work,
+and what to do if not"""
 
     bl_idname = "curecon.self_check"
     bl_label = "Check Installation"
 
     task = "Checking the installation"
-    panel = PANEL
+    panel = running.PREFERENCES
 
     def arguments(self, context: bpy.types.Context) -> list[str]:
         return ["self-check", "--device", settings(context).device]
 
     def done(self, context: bpy.types.Context, scene: bpy.types.Scene, summary: dict[str, Any]) -> str:
-        return rpt_("The installation works: {:,} points in {:.0f} s.").format(
-            summary["synthetic_points"], summary["seconds"])
+        return rpt_("CU-Recon works on this computer.")
 
 
 class CURECON_OT_copy_diagnostics(bpy.types.Operator):
@@ -60,7 +58,7 @@ def diagnostics(context: bpy.types.Context) -> str:
         f"Memory budget: {'automatic' if chosen.memory_gib is None else f'{chosen.memory_gib} GiB'}",
     ]
     status = running.status
-    if running.panel != PANEL or status.running:
+    if running.panel != running.PREFERENCES or status.running:
         lines.append("The installation has not been checked: press Check Installation first.")
     elif status.failure is not None:
         lines += [f"Check failed ({status.failure.kind}): {status.failure.message}", status.failure.remedy]
@@ -69,8 +67,24 @@ def diagnostics(context: bpy.types.Context) -> str:
     return "\n".join([*lines, *status.warnings])
 
 
+def in_words(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    """What a passed check found, for everybody: lines, each with its icon."""
+    lines = [(iface_("CU-Recon works on this computer."), "CHECKMARK")]
+    device, kind = summary["device"], summary["device_kind"]
+    if kind == "cpu":
+        lines.append((iface_("The processor does the work."), "INFO"))
+    else:
+        lines.append((iface_("The graphics card does the work: {}.").format(device), "INFO"))
+    if summary["unused_card"]:
+        lines.append((iface_("The NVIDIA card in it could do it several times faster. The manual says how, under "
+                             "Install."), "INFO"))
+    memory = iface_("Memory: {:.0f} GiB, {:.0f} GiB of it free. Depth maps take up to {:.0f} GiB.")
+    lines.append((memory.format(summary["memory_gib"], summary["free_memory_gib"], summary["budget_gib"]), "INFO"))
+    return lines
+
+
 def described(summary: dict[str, Any]) -> list[str]:
-    """What a passed check found, a line each."""
+    """What a passed check found, for a report, a line each."""
     return [
         f"{summary['synthetic_points']:,} points in {summary['seconds']:.0f} s",
         f"{summary['device']} ({summary['device_kind']}), {summary['threads']} threads",

@@ -16,7 +16,7 @@ from ..job import Status, duration
 from ..languages import CONTEXT, translated
 from ..operators import running
 from ..operators.running import STAGE_NAMES
-from ..preferences import ADDON
+from ..preferences import ADDON, LOCKS
 from ..scene.sidebar import TAB
 
 # Chinese and Japanese have no spaces: a line may end after each of their letters, but not before a closing mark.
@@ -119,6 +119,8 @@ def _draw_remedy(layout: bpy.types.UILayout, context: bpy.types.Context, failure
     """The remedy as a button, where one can do it."""
     if failure.kind == "photos":
         layout.operator("curecon.choose_photos", text="Choose Photos", icon="FILE_FOLDER")
+    elif failure.kind == "setup" and LOCKS.is_dir():
+        layout.operator("curecon.get_libraries", icon="IMPORT")
     elif failure.kind in ("setup", "device", "worker", "weights"):
         layout.operator("preferences.addon_show", text="Open Preferences", icon="PREFERENCES").module = ADDON
     elif failure.kind == "workspace":

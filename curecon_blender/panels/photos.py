@@ -9,9 +9,14 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from .. import thumbnails
 from ..core.base.options import VIDEO_SUFFIXES
+from ..job import duration
 from ..languages import translated
 from ..operators import running
+from ..operators.check_photos import CHECKING
+from ..operators.make_model import GOAL
+from ..preferences import settings
 from .layout import Panel, action, counted, draw_outcome, draw_progress, paragraph
+from .preferences import draw_libraries
 
 SHOWN_SKIPPED = 6
 SHOWN_NAMES = 200  # characters of a list of names
@@ -36,6 +41,8 @@ class CURECON_PT_photos(Panel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, properties, status = self.layout, context.scene.curecon, running.status
         ours = running.panel == "photos"
+        if settings(context).lacks_libraries and not status.running:
+            draw_libraries(layout.box(), context)
         if not properties.photos:
             action(layout, "curecon.choose_photos", text="Choose Photos", icon="FILE_FOLDER")
             paragraph(layout, context, "Or drop photos on the viewport: their whole folder is taken.")
@@ -50,14 +57,29 @@ class CURECON_PT_photos(Panel, bpy.types.Panel):
             draw_progress(layout, status)
         elif checked:
             self._draw_check(context, properties.check)
+            self._draw_all_at_once(context, properties)
         else:
             action(layout, "curecon.check_photos", icon="VIEWZOOM")
-        if ours and status.failure is not None:
+        if ours and (status.failure is not None or status.task != CHECKING):
             draw_outcome(layout, context, status)
         refused = ours and status.failure is not None and status.failure.kind == "photos"
         filmed = any(file.name.lower().endswith(VIDEO_SUFFIXES) for file in properties.check.skipped)
         if not status.running and (filmed or refused):
             layout.operator("curecon.take_frames", icon="FILE_MOVIE")
+
+    def _draw_all_at_once(self, context: bpy.types.Context, properties: bpy.types.PropertyGroup) -> None:
+        """One press for those who want nothing else."""
+        column = self.layout.column()
+        column.enabled = not running.status.running
+        row = column.row()
+        row.scale_y = 1.6
+        row.operator("curecon.make_model", icon="OUTLINER_OB_MESH")
+        text = iface_("A textured mesh, framed, with a picture of it.")
+        cost = properties.check.costs.get(f"{properties.quality}:{GOAL}")
+        if cost is not None:
+            time = translated(duration(cost.seconds))
+            text = iface_("{} {}: {}.").format(text, iface_(properties.quality.capitalize()), time)
+        paragraph(column, context, text)
 
     def _draw_check(self, context: bpy.types.Context, check: bpy.types.PropertyGroup) -> None:
         box = self.layout.box()

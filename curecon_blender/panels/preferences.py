@@ -11,8 +11,8 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 
 from ..operators import running
-from ..operators.self_check import PANEL, described
-from ..preferences import ADDON
+from ..operators.self_check import in_words
+from ..preferences import ADDON, settings
 from .layout import draw_progress, paragraph
 
 DEVICES = (
@@ -36,7 +36,8 @@ class CURECON_AP_preferences(bpy.types.AddonPreferences):
     )
     worker_python: StringProperty(
         name="Worker Python",
-        description="The Python that does the work: one with torch and pycolmap. Empty: Blender's own Python",
+        description="The Python that does the work: one with torch and pycolmap, such as one with NVIDIA's CUDA. "
+                    "Empty: Blender's own Python",
         subtype="FILE_PATH",
     )
     scheduler: StringProperty(
@@ -49,11 +50,20 @@ class CURECON_AP_preferences(bpy.types.AddonPreferences):
         description="Where workspaces are made. Empty: beside each photo folder",
         subtype="DIR_PATH",
     )
-
+    indexes: StringProperty(
+        name="Package Index",
+        description="Addresses from which Get Libraries fetches, such as a mirror near you, with spaces between them. "
+                    "Empty: pypi.org and pytorch.org",
+    )
+    licence: StringProperty(
+        name="Licence", description="Of what you export, such as CC BY 4.0, where a file does not say another",
+    )
+    credit: StringProperty(
+        name="Credit", description="Who is to be named with what you export, where a file does not say another",
+    )
     sound: BoolProperty(
         name="Sound at the End", description="A tone when a job of more than a minute is done", default=False,
     )
-
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
@@ -64,28 +74,48 @@ class CURECON_AP_preferences(bpy.types.AddonPreferences):
         layout.prop(self, "worker_python", placeholder="Blender's own Python")
         layout.prop(self, "scheduler", placeholder="This computer alone")
         layout.prop(self, "cache", placeholder="Beside the photos")
+        layout.prop(self, "credit")
+        layout.prop(self, "licence")
         layout.prop(self, "sound")
-        _draw_self_check(layout, context)
+        layout.prop(self, "indexes", placeholder="pypi.org and pytorch.org")
+        _draw_check(layout, context)
 
 
-def _draw_self_check(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+def draw_libraries(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """The offer to fetch what this zip does not bring."""
+    paragraph(layout, context, "What CU-Recon computes with is fetched once: about 400 MB.", icon="INFO")
+    if not bpy.app.online_access:
+        paragraph(layout, context, "For that, Blender must be allowed to go online:")
+        layout.prop(context.preferences.system, "use_online_access")
+    row = layout.row()
+    row.scale_y = 1.6
+    row.operator("curecon.get_libraries", icon="IMPORT")
+
+
+def _draw_check(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     row = layout.row()
     row.operator("curecon.self_check", icon="CHECKMARK")
     row.operator("curecon.copy_diagnostics", icon="COPYDOWN")
-    status = running.status
-    if running.panel != PANEL:
-        return
-    if status.running:
+    status, chosen = running.status, settings(context)
+    ours = running.panel == running.PREFERENCES
+    if ours and status.running:
         draw_progress(layout, status)
         return
     box = layout.box()
-    if status.failure is not None:
+    if ours and status.failure is not None:
         paragraph(box, context, status.failure.message, icon="CANCEL", alert=True)
         paragraph(box, context, status.failure.remedy)
-    elif status.result is not None:
-        box.label(text="The installation works", icon="CHECKMARK")
-        for line in described(status.result.summary):
-            paragraph(box, context, line)
+    elif ours and status.result is not None and "synthetic_points" in status.result.summary:
+        for line, icon in in_words(status.result.summary):
+            paragraph(box, context, line, icon=icon)
+    elif ours and status.said:
+        paragraph(box, context, status.said, icon="CHECKMARK")
+    if chosen.lacks_libraries or (ours and status.failure is not None and status.failure.kind == "setup"):
+        draw_libraries(box, context)
+    elif chosen.has_libraries:
+        row = box.row()
+        row.label(text="The libraries that Get Libraries fetched are in place.")
+        row.operator("curecon.remove_libraries", text="", icon="TRASH")
 
 
 CLASSES = (CURECON_AP_preferences,)

@@ -128,6 +128,7 @@ class CURECON_PT_present_output(_Part, bpy.types.Panel):
         layout.prop(context.scene.curecon, "credit")
         layout.prop(context.scene.curecon, "licence")
         layout.prop(present, "folder", placeholder="In the workspace")
+        layout.operator("curecon.render_still", icon="RENDER_STILL")
         layout.operator("curecon.render_showreel", icon="RENDER_ANIMATION")
         layout.operator("curecon.open_presentation", icon="FILE_FOLDER")
 

@@ -19,7 +19,7 @@ from bpy.props import (
 )
 
 from ..core.base.options import PRESETS
-from ..scene import cameras, surface, viewport
+from ..scene import cameras, surface, view, viewport
 from ..scene.workspace import clouds_of, hide
 from . import cloud, control, frame, photos, plan, present, result
 from .cloud import CURECON_PG_cloud
@@ -86,7 +86,7 @@ def _show_filled(properties: CURECON_PG_scene, context: bpy.types.Context) -> No
 
 def _surface_light(properties: CURECON_PG_scene, context: bpy.types.Context) -> None:
     surface.light(properties.id_data, properties.surface_light == "SCENE")
-    viewport.light(context, properties.surface_light == "SCENE")
+    view.light(context, properties.surface_light == "SCENE")
 
 
 def _licences(properties: CURECON_PG_scene, context: bpy.types.Context, typed: str) -> list[str]:

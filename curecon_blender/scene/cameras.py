@@ -18,6 +18,7 @@ SENSOR_WIDTH = 36.0  # millimetres; only the ratio of lens to sensor matters
 NAME_KEY, PHOTO_KEY, PHOTO_SIZE_KEY, TURN_KEY = "curecon_name", "curecon_photo", "curecon_photo_size", "curecon_turn"
 LENS_KEY = "curecon_lens"
 SIZE_KEY, ASPECT_KEY = "curecon_size", "curecon_pixel_aspect"  # on camera data: pixels (w, h) and fx / fy
+ONE_SIDED = 0.35  # length of the mean of the photos' ways from the site, the longest 1, from which on they have a side
 CAMERAS_KEY = "curecon_cameras"  # marks the collections that hold cameras
 BLENDER_FROM_OPENCV = np.diag([1.0, -1.0, -1.0])  # Blender's camera looks along -z with y up
 
@@ -120,6 +121,17 @@ def hides_scene(camera: bpy.types.Object | None) -> bool:
 
 def is_photo_camera(candidate: bpy.types.Object | None) -> bool:
     return candidate is not None and candidate.type == "CAMERA" and SIZE_KEY in candidate.data
+
+
+def side(scene: bpy.types.Scene, centre: np.ndarray) -> float | None:
+    """From which side of `centre` (3,) the photos were taken, in degrees clockwise from +Y; None where from all."""
+    places = [item.matrix_world.translation for item in scene.objects if is_photo_camera(item)]
+    away = np.array(places).reshape(-1, 3)[:, :2] - centre[:2]
+    lengths = np.linalg.norm(away, axis=1)
+    if not lengths.any():
+        return None
+    mean = (away / lengths.max()).mean(axis=0)  # those overhead tell little
+    return float(np.degrees(np.arctan2(*mean)) % 360) if np.linalg.norm(mean) > ONE_SIDED else None
 
 
 def show(scene: bpy.types.Scene, visible: bool) -> None:

@@ -8,6 +8,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
+from math import ceil, log2
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -28,13 +29,21 @@ from .frame import ADJUSTED_KEY, FRAME_KEY, Part, world_matrix
 IMAGE_QUALITY = 90  # of JPEG and WebP in a GLB
 
 
+# What a compressed GLB says in its JSON, and the exporter's switch.
+COMPRESSED = {"DRACO": (b"KHR_draco_mesh_compression", "export_draco_mesh_compression_enable"),
+              "MESHOPT": (b"meshopt_compression", "export_meshopt_compression_enable")}
+DRACO_STEP, DRACO_LEVEL, DRACO_BITS = 0.0005, 6, (16, 30)  # metres; 0 to 10; fewest and most bits a coordinate
+
+
 @dataclass(frozen=True, kw_only=True)
 class Choices:
     """How to export: `form` is "GLB", "OBJ" or "PLY"; `texture` (GLB only) is "AUTO", "JPEG" or "WEBP"; `unlit` (GLB
-    only) asks viewers for the photos' colours without lights of their own."""
+    only) asks viewers for the photos' colours without lights of their own, `compression` (GLB only) is one of
+    COMPRESSED or "NONE"."""
 
     form: str
     texture: str = "AUTO"
+    compression: str = "NONE"
     unlit: bool = True
     position: bool = True
     licence: str = ""
@@ -73,7 +82,7 @@ def export_surfaces(
         made = Path(scratch) / path.name
         with _only(context, items):
             if choices.form == "GLB":
-                _write_glb(made, items, about, choices, textured=bool(images))
+                note = _write_glb(made, items, about, choices, textured=bool(images))
             elif choices.form == "OBJ":
                 _write_obj(made, about, images)
             else:
@@ -117,17 +126,28 @@ def export_cloud(item: bpy.types.Object, path: Path, choices: Choices) -> Export
 
 def _write_glb(
     path: Path, items: list[bpy.types.Object], about: dict[str, Provenance], choices: Choices, *, textured: bool
-) -> None:
+) -> str:
+    """Returns what this Blender could not do, in words."""
+    mark, switch = COMPRESSED.get(choices.compression, (b"", ""))
+    known = bpy.ops.export_scene.gltf.get_rna_type().properties if switch else ()
+    # In steps of half a millimetre, and of a sixteenth of a pixel of a large page: the exporter's own are coarser.
+    extent = max(max(item.dimensions) for item in items) / _metre_of(items[0])
+    bits = min(max(ceil(log2(max(extent, 1e-9) / DRACO_STEP)), DRACO_BITS[0]), DRACO_BITS[1])
     _run(
         bpy.ops.export_scene.gltf, path, export_format="GLB", use_selection=True, export_yup=True, export_apply=True,
         export_animations=False, export_extras=False, export_materials="EXPORT",
         export_image_format=choices.texture, export_jpeg_quality=IMAGE_QUALITY, export_image_quality=IMAGE_QUALITY,
         # glTF multiplies vertex colours with the texture: a textured surface must not have them.
         export_vertex_color="NONE" if textured else "NAME", export_vertex_color_name=surface.COLOUR,
-        export_all_vertex_colors=False,
+        export_all_vertex_colors=False, **({switch: True} if switch in known else {}),
+        export_draco_mesh_compression_level=DRACO_LEVEL, export_draco_position_quantization=bits,
+        export_draco_texcoord_quantization=DRACO_BITS[0],
     )
     filled = [m.name for item in items for m in item.data.materials if m is not None and surface.FILLED_KEY in m]
     export.describe_glb(path, about, filled=filled, unlit=choices.unlit)
+    if mark not in path.read_bytes():
+        return f"This Blender comes without {choices.compression.capitalize()}: the file is not compressed."
+    return ""
 
 
 def _write_obj(path: Path, about: dict[str, Provenance], images: dict[str, bpy.types.Image]) -> None:

@@ -19,6 +19,8 @@ LENS, SENSOR = 35.0, cameras.SENSOR_WIDTH  # millimetres
 WIDE = 16 / 9  # a film's width over its height
 MARGIN = 1.05  # of the distance at which the building fills the picture
 FILM_SIZE = (1920, 1080)
+STEEPEST = 22.0  # degrees that stills from the side look down, or no sky would be seen behind what is slim
+STILL, STILL_NAME = "STILL", "CU-Recon Still"
 NAMES = {"ORBIT": "CU-Recon Orbit", "FLIGHT": "CU-Recon Flight", "CRANE": "CU-Recon Crane"}
 
 
@@ -37,6 +39,22 @@ def make(scene: bpy.types.Scene, kind: str, times: dict[str, datetime]) -> bpy.t
     render = scene.render
     render.resolution_x, render.resolution_y = FILM_SIZE
     render.pixel_aspect_x = render.pixel_aspect_y = 1.0
+    return camera
+
+
+def still(scene: bpy.types.Scene) -> bpy.types.Object:
+    """A camera that stands still and sees the whole site from the side that the photos were taken from, in place of the
+    one that an earlier call made; the scene looks through it. Raises SurfaceError."""
+    present, about = scene.curecon.present, site.box(scene)
+    from_side = cameras.side(scene, about.centre)
+    azimuth = degrees(present.start_angle) if from_side is None else from_side
+    place, rotation = look_from(about, azimuth, (present.height - 0.5) * about.height, STEEPEST)
+    camera = presentation.find(scene, STILL) or presentation.put(scene, STILL, new_lens(STILL_NAME, about))
+    camera.rotation_mode = "QUATERNION"
+    camera.location, camera.rotation_quaternion = place, rotation
+    scene.camera = camera
+    scene.render.resolution_x, scene.render.resolution_y = FILM_SIZE
+    scene.render.pixel_aspect_x = scene.render.pixel_aspect_y = 1.0
     return camera
 
 

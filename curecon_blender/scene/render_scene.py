@@ -121,6 +121,12 @@ def apply_quality(scene: bpy.types.Scene) -> str:
     return why
 
 
+def film_size(scene: bpy.types.Scene) -> tuple[int, int]:
+    """Width and height in pixels of films and stills in the quality that the scene's properties ask for."""
+    share = QUALITIES[scene.curecon.present.quality].film_percentage / 100
+    return round(flight.FILM_SIZE[0] * share), round(flight.FILM_SIZE[1] * share)
+
+
 def can_film() -> bool:
     """Whether this Blender writes films; some builds have no FFmpeg."""
     return bool(bpy.app.build_options.codec_ffmpeg)
@@ -246,8 +252,8 @@ def add_orbit(stage: bpy.types.Scene, about: site.Box, path: CameraPath) -> str:
     return camera.name
 
 
-def add_move(stage: bpy.types.Scene, camera: bpy.types.Object) -> str:
-    """The user's own camera with its keys, in the stage; returns the object's name."""
+def add_own(stage: bpy.types.Scene, camera: bpy.types.Object) -> str:
+    """The user's own camera, with its keys where it has any, in the stage; returns the object's name."""
     return _share(stage, camera).name
 
 

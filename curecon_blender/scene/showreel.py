@@ -15,7 +15,6 @@ from . import flight, render_scene, site
 from .lettering import letters_but
 
 FROM_ABOVE = 2.0  # times the box's radius: the height of the still that looks down steeply
-STEEPEST = 22.0  # degrees that the other four look down, or no sky would be seen behind what is slim
 CONTACT_PIXELS_PER_MM = 8
 
 
@@ -23,8 +22,7 @@ def shots(scene: bpy.types.Scene, stage: bpy.types.Scene, folder: Path) -> list[
     """Put the cameras of the stills and of the film in the stage; where this Blender can make no film, for
     the stills alone. Raises SurfaceError."""
     present, about = scene.curecon.present, site.box(scene)
-    share = render_scene.QUALITIES[present.quality].film_percentage / 100
-    size = round(flight.FILM_SIZE[0] * share), round(flight.FILM_SIZE[1] * share)
+    size = render_scene.film_size(scene)
     has_north = site.known(scene).north
     height = (present.height - 0.5) * about.height
     made = []
@@ -32,14 +30,14 @@ def shots(scene: bpy.types.Scene, stage: bpy.types.Scene, folder: Path) -> list[
         azimuth = (degrees(present.start_angle) + 90 * (number - 1)) % 360
         side = f"From the {sheet.compass(azimuth).lower()}" if has_north else f"View {number}"
         name, high, steepest = (
-            (side, height, STEEPEST) if number < 5 else (n_("From above"), FROM_ABOVE * about.radius, 90.0)
+            (side, height, flight.STEEPEST) if number < 5 else (n_("From above"), FROM_ABOVE * about.radius, 90.0)
         )
         camera = render_scene.add_still(stage, name, about, azimuth, high, steepest)
         made.append(render_scene.Shot(name=name, file=folder / f"still_{number}.png", camera=camera, size=size))
     if not render_scene.can_film():
         return made
     if flight.is_move(scene.camera):
-        film, frames = render_scene.add_move(stage, scene.camera), flight.frames_of(scene.camera)
+        film, frames = render_scene.add_own(stage, scene.camera), flight.frames_of(scene.camera)
     else:
         frames = flight.frame_count(scene)
         film = render_scene.add_orbit(stage, about, flight.around(about, "ORBIT", present, frames))

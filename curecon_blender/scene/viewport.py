@@ -18,11 +18,11 @@ import gpu
 import numpy as np
 from bpy.app.handlers import persistent
 from gpu_extras.batch import batch_for_shader
-from mathutils import Euler, Matrix, Vector
+from mathutils import Matrix, Vector
 
 from . import cameras, display
 from .drawing import Drawing
-from .points import CLOUD_KEY, COLOUR, PRECISION, Bounds
+from .points import CLOUD_KEY, COLOUR, PRECISION
 from .workspace import clouds_of
 
 MAX_POINT_PIXELS = 40.0
@@ -119,52 +119,6 @@ def redraw() -> None:
         for area in window.screen.areas:
             if area.type == "VIEW_3D":
                 area.tag_redraw()
-
-
-def turn_to(context: bpy.types.Context, bounds: Bounds) -> None:
-    """Turn every 3D viewport of the window to what lies in `bounds`, from obliquely above, with fitting clip planes
-    and without the grid where some of it lies beneath. Viewports in camera view leave it."""
-    low, high = bounds
-    centre, size = (low + high) / 2, float(np.linalg.norm(high - low))
-    for area in context.window.screen.areas if context.window is not None else ():
-        if area.type != "VIEW_3D":
-            continue
-        space = area.spaces.active
-        view = space.region_3d
-        view.view_perspective = "PERSP"
-        view.view_location = Vector(centre.tolist())
-        view.view_rotation = Euler((np.radians(58), 0, np.radians(35))).to_quaternion()
-        view.view_distance = size * 0.95
-        space.clip_start, space.clip_end = size / 2000, size * 50
-        if low[2] < 0:  # Blender 5's grid would cut its lines into a cloud beneath it, which is drawn later
-            space.overlay.show_floor = False
-
-
-def show_texture(context: bpy.types.Context, *, textured: bool) -> None:
-    """Let Solid shading show the surface's texture or its vertex colours, where it shows plain materials so far."""
-    for shading in _shadings(context):
-        if shading.color_type in {"MATERIAL", "TEXTURE", "VERTEX"}:
-            shading.color_type = "TEXTURE" if textured else "VERTEX"
-
-
-def shows_lamps(context: bpy.types.Context) -> bool:
-    """Whether a viewport of the window shows the scene's lamps and sky; without a window nobody is looking."""
-    found = _shadings(context)
-    return not found or any(
-        shading.type == "RENDERED" or (shading.type == "MATERIAL" and shading.use_scene_lights) for shading in found)
-
-
-def light(context: bpy.types.Context, by_scene: bool) -> None:
-    """Let Solid shading light what it shows, or show colours as they are; a matcap that the user chose stays."""
-    for shading in _shadings(context):
-        if shading.light in {"STUDIO", "FLAT"}:
-            shading.light = "STUDIO" if by_scene else "FLAT"
-
-
-def _shadings(context: bpy.types.Context) -> list[bpy.types.View3DShading]:
-    """Of the 3D viewports of the window."""
-    areas = context.window.screen.areas if context.window is not None else ()
-    return [area.spaces.active.shading for area in areas if area.type == "VIEW_3D"]
 
 
 @persistent

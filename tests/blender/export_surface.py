@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import bpy
+import numpy as np
 import surface_scene
 import workspace_scene
 
@@ -66,6 +67,13 @@ try:
         export(f"my site.{form.lower()}", form)
     export("jpeg.glb", "GLB", texture="JPEG", unlit=False)
     export("webp.glb", "GLB", texture="WEBP")
+    export("draco.glb", "GLB", compression="DRACO")
+    export("meshopt.glb", "GLB", compression="MESHOPT")
+    bpy.ops.import_scene.gltf(filepath=str(FOLDER / "draco.glb"))
+    item = bpy.context.object
+    places = np.array([item.matrix_world @ vertex.co for vertex in item.data.vertices])
+    np.save(FOLDER / "draco.npy", places)
+    bpy.data.objects.remove(item)
     export("secret.glb", "GLB", position=False)
     export("secret.obj", "OBJ", position=False)
     export("secret.ply", "PLY", position=False)

@@ -6,6 +6,7 @@ scripts/window_tour.py starts it with a JSON of what to do; it writes tour.json 
 keys go through Blender's own event queue. By operator are done: installing (its dialog is the system's file browser),
 the drop (through the operator that Blender itself calls for a drop), typing into fields, and the file browser's own
 button. What "full" adds: cancelling and going on, undo, the frame's tools, elevations, stills and film, and an export.
+"one_press" is the short way instead: dropped photos, one button, a textured mesh and a picture of it.
 """
 
 from __future__ import annotations
@@ -70,7 +71,9 @@ def install(person: Person) -> Wait:
     report["preferences"] = person.rectangle(other)
     with bpy.context.temp_override(window=other):
         bpy.ops.wm.window_close()
-    bpy.context.preferences.addons[MODULE].preferences.worker_python = task["worker_python"]
+    preferences = bpy.context.preferences.addons[MODULE].preferences
+    preferences.worker_python, preferences.indexes = task["worker_python"], task["index"]
+    bpy.context.preferences.system.use_online_access = bool(task["index"])
     yield 0.5
 
 
@@ -86,10 +89,67 @@ def photos(person: Person) -> Wait:
         )
     yield from person.picture("drop")  # Blender asks whether they are to become an image in the scene
     yield from person.press("D", *person.middle())
-    yield from worked(person, task["patience"], "the photo check")
+    if task["index"]:
+        yield from libraries(person)
+    else:
+        yield from worked(person, task["patience"], "the photo check")
     assert bpy.context.scene.curecon.check.photos == len(names)
     yield from person.open_only("CURECON_PT_photos")
     yield from person.picture("photos")
+
+
+def libraries(person: Person) -> Wait:
+    """The worker has nothing to work with: one press, a question, and it has. What has come is kept over a cancel."""
+    yield from person.until(lambda: bool(failure()), seconds=60, what="the check says that libraries are missing")
+    yield 1.0
+    yield from person.picture("lacking")
+    step("libraries")
+    running = sys.modules[f"{MODULE}.curecon_blender.operators.running"]
+    for cancelled in (True, False):
+        place = yield from person.button("curecon.get_libraries")
+        yield from person.click(*place)
+        yield 0.5
+        if cancelled:
+            yield from person.picture("question")
+        yield from person.press("RET", *place)  # the question is under the pointer
+        yield from person.until(busy, seconds=10, what="fetching has begun")
+        if cancelled:
+            yield from person.until(lambda: running.status.overall > 0.1, seconds=task["patience"], what="a tenth")
+            yield from person.picture("fetching")
+            yield from person.push("curecon.cancel")
+            yield from person.until(lambda: not busy(), seconds=60, what="fetching is cancelled")
+            yield 1.0
+            yield from person.picture("fetching_cancelled")
+    yield from worked(person, task["patience"], "the libraries")
+    yield from person.picture("fetched")
+    yield from person.push("curecon.check_photos")
+    yield from worked(person, task["patience"], "the photo check")
+
+
+def one_press(person: Person) -> Wait:
+    """Everything by one button; the report says after how many seconds each came."""
+    step("one press")
+    yield from person.push("curecon.make_model")
+    began = time.monotonic()
+    yield from person.until(busy, seconds=10, what="the job has begun")
+    running = sys.modules[f"{MODULE}.curecon_blender.operators.running"]
+    yield from person.until(lambda: running.status.overall > 0.3 or failure(), seconds=task["patience"], what="a third")
+    yield from person.picture("progress")
+    yield from person.until(lambda: not busy(), seconds=task["patience"], what="the model")
+    assert not failure(), failure()
+    report["model_after"] = round(time.monotonic() - began, 1)
+    result = bpy.context.scene.curecon.result
+    assert result.textured, "the mesh has no texture"
+    report["points"], report["faces"], report["cameras"] = result.points, result.faces, result.cameras
+    step("picture")
+    picture = Path(result.workspace) / "presentation" / "still.png"
+    progress = sys.modules[f"{MODULE}.curecon_blender.operators.rendering"].progress
+    yield from person.until(
+        lambda: picture.is_file() and not progress.running, seconds=task["patience"], what="the picture",
+    )
+    report["picture_after"] = round(time.monotonic() - began, 1)
+    report["still"] = str(picture)
+    yield from person.picture("model")
 
 
 def reconstruct(person: Person) -> Wait:
@@ -295,9 +355,15 @@ def tour() -> Wait:
     person = Person(out)
     yield from person.press("ESC", *person.middle())  # the splash screen
     bpy.context.preferences.system.use_region_overlap = False  # a click beside a panel must not reach the scene
+    if task["language"]:
+        bpy.context.preferences.view.language = task["language"]
     try:
         yield from install(person)
         yield from photos(person)
+        if task["one_press"]:
+            yield from one_press(person)
+            step("end")
+            return
         yield from reconstruct(person)
         report["sidebar"] = person.rectangle(person.region("UI"))
         if task["full"]:
@@ -317,7 +383,8 @@ def tour() -> Wait:
     except Exception:
         report["failed"] = traceback.format_exc()
         subprocess.run(["import", "-window", "root", str(out / "failed.png")], check=False)
-    report["pictures"] = person.taken
+    finally:
+        report["pictures"] = person.taken
 
 
 def main() -> None:

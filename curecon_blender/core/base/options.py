@@ -41,7 +41,8 @@ PRESETS = {
 
 # The worker's commands.
 RUN, SURFACE, CHECK, REPORT = "reconstruct", "surface", "check", "report"
-CONTROL, PLAN, FRAMES, SELF_CHECK = "control", "plan", "frames", "self-check"
+CONTROL, PLAN, FRAMES = "control", "plan", "frames"
+SELF_CHECK, LIBRARIES = "self-check", "libraries"
 
 VIDEO_SUFFIXES = (".mp4", ".mov")  # that frames are taken of
 

@@ -15,6 +15,7 @@ from ..base.options import (
     CONTROL,
     DICTIONARIES,
     FRAMES,
+    LIBRARIES,
     PLAN,
     REPORT,
     RUN,
@@ -93,6 +94,11 @@ def parser() -> argparse.ArgumentParser:
     frames = command(FRAMES, "photos from the videos (MP4, MOV) in a folder, each into a folder beside it")
     frames.add_argument("photos", type=Path, help="folder with the videos")
     _plan(command(PLAN, "a flight for a building, before there are photos: page, DJI and Litchi missions, KML, GPX"))
+    libraries = command(LIBRARIES, "bring the worker's libraries, as a lock names them, into a folder for PYTHONPATH")
+    libraries.add_argument("folder", type=Path)
+    libraries.add_argument("--locks", type=Path, required=True, help="folder of lock files")
+    libraries.add_argument("--index", nargs="+", default=[], metavar="ADDRESS",
+                           help="package indexes in place of pypi.org and pytorch.org")
     command(SELF_CHECK, "reconstruct synthetic views, and say what this computer has")
     return main
 

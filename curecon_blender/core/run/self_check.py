@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import platform
+import shutil
 import sys
 import tempfile
 import time
@@ -74,7 +75,8 @@ def describe(device: str) -> dict[str, Any]:
         "python": f"{platform.python_version()} ({sys.executable})", "system": platform.platform(),
         "libraries": {name: importlib.metadata.version(name) for name in LIBRARIES},
         "device": names[chosen.type]() if chosen.type in names else platform.processor() or platform.machine(),
-        "device_kind": chosen.type, "threads": torch.get_num_threads(),
+        "device_kind": chosen.type, "unused_card": chosen.type == "cpu" and shutil.which("nvidia-smi") is not None,
+        "threads": torch.get_num_threads(),
         "memory_gib": round(memory.total / 2**30, 1), "free_memory_gib": round(memory.available / 2**30, 1),
         "budget_gib": round(budget / 2**30, 1),
     }

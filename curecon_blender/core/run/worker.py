@@ -24,11 +24,11 @@ from typing import TextIO
 from ..base import messages
 from ..base.errors import CuReconError, OutOfMemory, SetupError, ran_out_of_memory
 from ..base.messages import Message, Reporter
-from ..base.options import CONTROL, FRAMES, PLAN
+from ..base.options import CONTROL, FRAMES, LIBRARIES, PLAN
 from .command_line import options_of, parser
 
-LIBRARIES = ("numpy", "PIL", "pillow_heif", "psutil", "cv2", "safetensors", "scipy", "torch", "pycolmap", "xatlas",
-             "numba")
+NEEDED = ("numpy", "PIL", "pillow_heif", "psutil", "cv2", "safetensors", "scipy", "torch", "pycolmap", "xatlas",
+          "numba")
 REQUIREMENTS = Path(__file__).resolve().parents[2] / "requirements.txt"
 PLAIN_LINE_EVERY = 10.0  # seconds between progress lines in a pipe
 ORPHAN_GRACE = 3.0  # seconds a worker may take to stop by itself once its parent is gone; a restart waits for it
@@ -54,7 +54,8 @@ def main(arguments: list[str] | None = None) -> int:
         return error.exit_code
 
     try:
-        _require_libraries()
+        if options.command != LIBRARIES:
+            _require_libraries(by_hand=not options.messages)
         # After the libraries: pycolmap's logging installs handlers of its own when it is imported.
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: cancel.set())
@@ -77,6 +78,10 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace, reporter: Reporter) -> dict[str, object]:
+    if options.command == LIBRARIES:
+        from .libraries import make
+
+        return make(options.folder.absolute(), options.locks, tuple(options.index), reporter)
     from . import pipeline
 
     if options.command == "self-check":
@@ -109,16 +114,19 @@ def _run(options: argparse.Namespace, reporter: Reporter) -> dict[str, object]:
     return pipeline.reconstruct(options_of(options), reporter)
 
 
-def _require_libraries() -> None:
-    for name in LIBRARIES:
+def _require_libraries(*, by_hand: bool) -> None:
+    """Raises SetupError for the first library that is missing; `by_hand` says how somebody at a command line brings it.
+    """
+    for name in NEEDED:
         try:
             importlib.import_module(name)
         except ModuleNotFoundError as error:
+            remedy = "Press Get Libraries, or install the CU-Recon zip that is made for this system and this Blender."
+            if by_hand:
+                remedy = f"Run {sys.executable} -m pip install -r {REQUIREMENTS}"
             raise SetupError(
-                f"The Python at {sys.executable} has no {error.name or name}.",
-                remedy="Install the CU-Recon zip that is made for this system and this Blender, which brings its "
-                f"libraries; or run {sys.executable} -m pip install -r {REQUIREMENTS}; or choose another Worker "
-                "Python in the add-on's preferences.", path=sys.executable,
+                f"CU-Recon lacks a library that it computes with: {error.name or name}.", remedy=remedy,
+                path=sys.executable,
             ) from error
         except (ImportError, OSError) as error:  # it is there; torch raises OSError for a missing DLL
             missing = ("Install Microsoft's Visual C++ Redistributable (x64) and start Blender again"

@@ -16,16 +16,20 @@ Lengths are in spacings: the local spacing is the side of the square that one po
 
 from __future__ import annotations
 
+import time
+from contextlib import suppress
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
 
+from ..base.files import disk_errors
 from ..base.messages import Reporter
 from ..cloud.ply import Cloud
 from .clean import clean, drop_small_parts, orient, worth_keeping
 from .mesh import Mesh, MeshError
-from .poisson import poisson, simplify
+from .poisson import poisson, read_triangles, simplify, write_triangles
 from .support import LEAST_POINTS, Support, median_spacing, remove_outliers, thin, usable_points
 
 # More than that many points for each face that may stay do not show: they are thinned out, or a large site's mesh would
@@ -33,6 +37,10 @@ from .support import LEAST_POINTS, Support, median_spacing, remove_outliers, thi
 POINTS_A_FACE = 4
 _LARGEST_HOLE = 25.0  # median spacings from any measured point to the middle of a hole that is closed
 _REGION_MARGIN = 10.0  # median spacings: what lies just outside the region still shapes the surface within
+
+
+SHARES = (10, 45, 15, 20, 10)  # per cent of the time that each step takes
+WAITS = 15.0, 10.0  # seconds in which a million points go half through Poisson, and a million faces to fewer
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,21 +60,21 @@ class MeshOptions:
 def build_mesh(cloud: Cloud, options: MeshOptions, scratch: Path, reporter: Reporter) -> Mesh:
     """The surface of `cloud` (site frame) as triangles, with colour, support and what is filled; no UVs.
 
-    `scratch` is a folder for Poisson's and the simplification's files, which are deleted again. Progress counts
-    steps. The mesh is finite, without degenerate faces or unused vertices, with at most two faces an edge, and faces
+    `scratch` is a folder for Poisson's and the simplification's files, which are deleted again; beside it Poisson's
+    surface is kept until the mesh is finished, so that what is cancelled later goes on from there. Progress is in
+    per cent. The mesh is finite, without degenerate faces or unused vertices, with at most two faces an edge, and faces
     look to where the cloud's normals look. Raises MeshError for options or a cloud that give no surface, and
     WorkspaceError for a full or read-only disk.
     """
     _check(options)
-    steps = 5
-    reporter.progress(0, steps)
+    reporter.progress(0, 100)
     cloud, spacing, local_spacing = _measured(cloud, options, reporter)
     support = Support(cloud, local_spacing)
-    reporter.progress(1, steps)
-    vertices, faces = poisson(cloud, spacing, scratch, reporter)
-    reporter.progress(2, steps)
+    _begin(reporter, 1)
+    vertices, faces = _untrimmed(cloud, spacing, scratch, reporter, scratch.parent)
+    _begin(reporter, 2)
     vertices, faces = _trimmed(vertices, faces, support, spacing, options)
-    reporter.progress(3, steps)
+    _begin(reporter, 3)
     if len(faces) > options.max_faces:
         vertices, faces = _simplified(vertices, faces, spacing, options, scratch, reporter)
     if not len(faces):
@@ -74,14 +82,53 @@ def build_mesh(cloud: Cloud, options: MeshOptions, scratch: Path, reporter: Repo
             "The cloud's points are too few or too scattered to carry a surface.",
             remedy="Reconstruct with a higher quality or more photos, or choose a larger region.",
         )
-    reporter.progress(4, steps)
+    _begin(reporter, 4)
     filled = support.unmeasured_faces(vertices, faces)
     if not options.fill_holes and filled.any():  # faces that bridge a gap from one measured point to another
         vertices, faces = clean(vertices, faces[~filled], spacing)
         filled = np.zeros(len(faces), bool)
     mesh = support.with_attributes(vertices, orient(vertices, faces, support), filled)
-    reporter.progress(5, steps)
+    for kept in scratch.parent.glob(".poisson_*.ply"):
+        kept.unlink(missing_ok=True)
+    reporter.progress(100, 100)
     return mesh
+
+
+def _begin(reporter: Reporter, step: int, part: float = 0.0) -> None:
+    """Tell that a step is so far: `part` in [0, 1] of it."""
+    reporter.progress(int(sum(SHARES[:step]) + SHARES[step] * part), 100)
+
+
+class _Waiting(Reporter):
+    """For a step that says nothing while it works: its progress moves with the time, ever slower, and never comes to
+    its end by itself. `half` is how many seconds the first half usually takes."""
+
+    def __init__(self, reporter: Reporter, step: int, half: float) -> None:
+        super().__init__()
+        self._outer, self._step, self._half, self._began = reporter, step, half, time.monotonic()
+
+    def check_cancelled(self) -> None:
+        _begin(self._outer, self._step, 1 - 0.5 ** ((time.monotonic() - self._began) / self._half))
+
+
+def _untrimmed(
+    cloud: Cloud, spacing: float, scratch: Path, reporter: Reporter, keep: Path
+) -> tuple[np.ndarray, np.ndarray]:
+    """Poisson's surface; that of an earlier run which was cut off, where its points were the same."""
+    digest = sha256(b"".join(array.tobytes() for array in (cloud.points, cloud.normals, np.array(spacing))))
+    kept = keep / f".poisson_{digest.hexdigest()[:16]}.ply"
+    for other in {*keep.glob(".poisson_*.ply")} - {kept}:
+        other.unlink(missing_ok=True)
+    if kept.is_file():
+        with suppress(ValueError):  # it was cut short
+            vertices, faces = read_triangles(kept)
+            if len(faces) and faces.min() >= 0 and faces.max() < len(vertices):
+                return vertices, faces
+    half = WAITS[0] * (len(cloud) / 1e6 + 0.1)
+    vertices, faces = poisson(cloud, spacing, scratch, _Waiting(reporter, 1, half))
+    with disk_errors(kept):
+        write_triangles(kept, vertices, faces)
+    return vertices, faces
 
 
 def _check(options: MeshOptions) -> None:
@@ -134,7 +181,8 @@ def _trimmed(
 def _simplified(
     vertices: np.ndarray, faces: np.ndarray, spacing: float, options: MeshOptions, scratch: Path, reporter: Reporter
 ) -> tuple[np.ndarray, np.ndarray]:
-    vertices, faces = simplify(vertices, faces, options.max_faces, scratch, reporter)
+    waiting = _Waiting(reporter, 3, WAITS[1] * (len(faces) / 1e6 + 0.1))
+    vertices, faces = simplify(vertices, faces, options.max_faces, scratch, waiting)
     if options.region is not None:
         vertices = np.clip(vertices, *np.array(options.region, np.float32))  # simplification moves vertices
     vertices, faces = clean(vertices, faces, spacing)

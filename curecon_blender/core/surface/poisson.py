@@ -56,7 +56,7 @@ def poisson(cloud: Cloud, spacing: float, scratch: Path, reporter: Reporter) -> 
             writer.write(cloud)
         _pycolmap("poisson_meshing", "PoissonMeshingOptions", source, target, reporter, depth=depth, trim=0,
                   color=False)
-        return _read_triangles(target)
+        return read_triangles(target)
 
 
 def simplify(
@@ -66,11 +66,10 @@ def simplify(
     source, target = scratch / "fine.ply", scratch / "coarse.ply"
     with _exchange(source, target, "The surface could not be simplified",
                    "See that the disk is not full, or give a larger face target."):
-        write_ply(source, {"vertex": table(_VERTEX, {"x y z": vertices}),
-                           "face": table(_FACE, {"vertex_indices": faces})})
+        write_triangles(source, vertices, faces)
         _pycolmap("simplify_mesh", "MeshSimplificationOptions", source, target, reporter,
                   target_face_ratio=count / len(faces), interpolate_colors=False)
-        return _read_triangles(target)
+        return read_triangles(target)
 
 
 @contextmanager
@@ -121,7 +120,12 @@ def _pycolmap(call: str, kind: str, source: Path, target: Path, reporter: Report
         words.unlink(missing_ok=True)
 
 
-def _read_triangles(path: Path) -> tuple[np.ndarray, np.ndarray]:
+def write_triangles(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
+    """A binary PLY of vertices (n,3) and faces (m,3)."""
+    write_ply(path, {"vertex": table(_VERTEX, {"x y z": vertices}), "face": table(_FACE, {"vertex_indices": faces})})
+
+
+def read_triangles(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (n,3) float32 and faces (m,3) int32 of a PLY by pycolmap. Raises ValueError where it is cut short."""
     rows = read_ply(path, ["vertex", "face"], {"vertex_indices": 3})[1]
     return column(rows["vertex"], "x y z").astype(np.float32), rows["face"]["vertex_indices"].copy()

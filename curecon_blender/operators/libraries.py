@@ -1,0 +1,95 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The worker's libraries with one press, for zips that do not bring them; and away again."""
+
+from __future__ import annotations
+
+import shutil
+from typing import Any
+
+import bpy
+from bpy.app.translations import pgettext_rpt as rpt_
+
+from ..core.base.files import disk_errors
+from ..core.base.options import LIBRARIES
+from ..preferences import LOCKS, settings
+from . import running
+from .running import WorkerOperator
+
+
+class CURECON_OT_get_libraries(WorkerOperator, bpy.types.Operator):
+    """Fetch what CU-Recon computes with, once, from the package index: about 400 MB, each file checked.
+
+What has come stays when it is cancelled, and the next press goes on from there"""
+
+    bl_idname = "curecon.get_libraries"
+    bl_label = "Get Libraries"
+
+    task = "Getting libraries"
+    panel = running.PREFERENCES
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not running.idle(cls):
+            return False
+        if not LOCKS.is_dir():
+            cls.poll_message_set("This CU-Recon brings its libraries itself")
+            return False
+        if not bpy.app.online_access:
+            cls.poll_message_set("Allow Online Access is off in Blender's preferences, under System")
+            return False
+        return True
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if bpy.app.background:
+            return self.execute(context)
+        self._asked = True
+        return context.window_manager.invoke_confirm(
+            self, event, title="Get Libraries?", confirm_text="Get Libraries", icon="QUESTION",
+            message="About 400 MB come from pypi.org and pytorch.org, and take 1.4 GB on the disk.",
+        )
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        if getattr(self, "_asked", False):  # back from the question
+            self._asked = False
+            if context.area is not None and context.area.type == "VIEW_3D" and running.panel:
+                self.panel = running.panel  # where its progress is looked for
+            return WorkerOperator.invoke(self, context, None)
+        return WorkerOperator.execute(self, context)
+
+    def arguments(self, context: bpy.types.Context) -> list[str]:
+        chosen = settings(context)
+        named = ["--index", *chosen.indexes] if chosen.indexes else []
+        return [LIBRARIES, str(chosen.libraries), "--locks", str(LOCKS), *named]
+
+    def done(self, context: bpy.types.Context, scene: bpy.types.Scene, summary: dict[str, Any]) -> str:
+        return rpt_("The libraries are in place. Check Installation tries them.")
+
+
+class CURECON_OT_remove_libraries(bpy.types.Operator):
+    """Delete the libraries that Get Libraries fetched"""
+
+    bl_idname = "curecon.remove_libraries"
+    bl_label = "Remove Libraries"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not running.idle(cls):
+            return False
+        if not settings(context).libraries.is_dir():
+            cls.poll_message_set("Get Libraries has not fetched any")
+            return False
+        return True
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        return context.window_manager.invoke_confirm(self, event)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        folder = settings(context).libraries
+        with disk_errors(folder):
+            shutil.rmtree(folder)
+        self.report({"INFO"}, "The libraries are removed.")
+        return {"FINISHED"}
+
+
+CLASSES = (CURECON_OT_get_libraries, CURECON_OT_remove_libraries)
