@@ -19,7 +19,7 @@ from .parallel import threads
 FEATURES, MATCHING, MAPPING, COLOURS = "features", "matching", "mapping", "colours"
 
 # Processor seconds on a reference computer. Only their ratios matter, and they only until a phase has shown its own
-# pace. Features and matching are spread over all threads, mapping and colours mostly use one.
+# pace. Features and matching are spread over all threads, mapping over about two, colours are on one.
 _FEATURE_COST = 0.75  # a photo at 1200 pixels
 _PAIR_COST = 0.11  # a pair of photos with 4096 features each
 _INLIER_COST, _TYPICAL_INLIERS = 8e-5, 500  # mapping, a verified match; as many as a pair of photos may have
@@ -50,7 +50,7 @@ class Meter:
         self._phases = {
             FEATURES: _Phase(photos, _FEATURE_COST * (settings.image_size / 1200) ** 2, threads()),
             MATCHING: _Phase(pairs, _PAIR_COST * (settings.max_features / 4096) ** 2, threads()),
-            MAPPING: _Phase(photos if maps else 0, 0.0, 1),
+            MAPPING: _Phase(photos if maps else 0, 0.0, min(threads(), 2)),
             COLOURS: _Phase(photos, _COLOUR_COST, 1),
         }
         self.expect_matches(_TYPICAL_INLIERS * pairs)
