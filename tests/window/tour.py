@@ -88,7 +88,12 @@ def photos(person: Person) -> Wait:
             "INVOKE_DEFAULT", directory=task["photos"] + "/", files=[{"name": name} for name in names],
         )
     yield from person.picture("drop")  # Blender asks whether they are to become an image in the scene
-    yield from person.press("D", *person.middle())
+    if task["language"]:  # which has another key for it
+        yield from person.press("ESC", *person.middle())
+        with person.override():
+            bpy.ops.curecon.drop_photos(directory=task["photos"] + "/")
+    else:
+        yield from person.press("D", *person.middle())
     if task["index"]:
         yield from libraries(person)
     else:
