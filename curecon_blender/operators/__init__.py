@@ -109,6 +109,11 @@ def _add(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
     menu.layout.menu("CURECON_MT_add", icon="OUTLINER_OB_POINTCLOUD")
 
 
+def _header(menu: bpy.types.Header, context: bpy.types.Context) -> None:
+    """At the right end of the 3D viewport's header."""
+    menu.layout.operator("curecon.show_tab", text="", icon="OUTLINER_OB_POINTCLOUD")
+
+
 def _object(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
     menu.layout.separator()
     menu.layout.menu("CURECON_MT_object", icon="OUTLINER_OB_POINTCLOUD")
@@ -125,6 +130,7 @@ CLASSES += (CURECON_MT_add, CURECON_MT_object)
 MENUS = (
     ("TOPBAR_MT_file_import", _file_import), ("TOPBAR_MT_file_export", _file_export), ("VIEW3D_MT_add", _add),
     ("VIEW3D_MT_object", _object), ("VIEW3D_MT_object_context_menu", _object_context),
+    ("VIEW3D_HT_header", _header),
 )
 KEYMAP = "3D View"
 
