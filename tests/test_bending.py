@@ -62,6 +62,15 @@ def test_heights_are_doubtful_where_neither_the_photos_nor_the_maker_tell_the_fo
     assert bool(bending.doubt((), share)) == (not oblique and not calibrated)
 
 
+@pytest.mark.parametrize(("focal", "scale", "doubtful"), [
+    (0.0086, 0.0137, True), (0.0081, 0.0014, False), (0.0086, 0.0004, False), (0.0002, 0.02, False),
+], ids=["GPS alone, straight down", "RTK", "control points", "from all sides"])
+def test_what_gps_leaves_open_of_the_scale_adds_to_a_focal_length_that_photos_leave_open(
+    focal: float, scale: float, doubtful: bool
+) -> None:
+    assert bool(bending.doubt((), focal, scale)) == doubtful
+
+
 def test_a_rolling_shutter_moves_the_ground_by_what_the_drone_flies() -> None:
     photos, centres = grid(0.0, 0.0)
     still = [replace(photo, speed=None) for photo in photos]

@@ -120,7 +120,8 @@ def _placed(
     placement, adjusted = place_and_adjust(model, photos, reporter, control)
     _warn_of_gps(placement, model.num_reg_images(), index, reporter)
     accuracy = _judged(model, photos, placement.frame, adjusted, control)
-    doubt = bending.doubt(accuracy.domes, accuracy.focal_sigma)
+    scale_sigma = float(adjusted.precision.datum_sigmas[6]) if adjusted else 0.0
+    doubt = bending.doubt(accuracy.domes, accuracy.focal_sigma, scale_sigma)
     if doubt:
         reporter.warning(f"{doubt} {bending.REMEDY}")
     if accuracy.shutter_shift is not None and accuracy.shutter_shift > bending.MOST_SHIFT:

@@ -5,6 +5,7 @@ length that the flight leaves open, and photos that moved while they were read o
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from datetime import datetime
 
@@ -108,16 +109,18 @@ def is_bent(dome: Dome) -> bool:
     return abs(dome.bend) > _SURE * dome.sigma and abs(dome.bend) > dome.limit
 
 
-def doubt(found: Sequence[Dome], focal_sigma: float | None) -> str:
+def doubt(found: Sequence[Dome], focal_sigma: float | None, scale_sigma: float = 0.0) -> str:
     """Why heights are doubtful, in one sentence for the user; empty where they are not. `focal_sigma` is the share by
-    which the adjustment leaves a focal length open."""
+    which the adjustment leaves a focal length open, and the cameras' height with it; where it does, that of the site's
+    scale, `scale_sigma`, adds to it."""
     bent = max((dome for dome in found if is_bent(dome)), key=lambda dome: abs(dome.bend), default=None)
     if bent is not None:
         way = "raised" if bent.bend < 0 else "lowered"
         return (f"Heights are doubtful: the model's middle is {way} against its edge by {abs(bent.bend):.2f} m, by "
                 f"{bent.source}.")
-    if focal_sigma is not None and focal_sigma > DOUBTFUL_SHARE:
-        return (f"Heights are doubtful: those above the ground may be off by {100 * focal_sigma:.0f} %, since these "
+    share = math.hypot(focal_sigma or 0.0, scale_sigma)
+    if focal_sigma is not None and focal_sigma > DOUBTFUL_SHARE / 2 and share > DOUBTFUL_SHARE:
+        return (f"Heights are doubtful: those above the ground may be off by {100 * share:.0f} %, since these "
                 "photos do not tell the focal length from the height.")
     return ""
 
