@@ -52,7 +52,8 @@ MARKERS = {
     "macos-arm64": {"sys_platform": "darwin", "platform_system": "Darwin", "platform_machine": "arm64",
                     "os_name": "posix"},
 }
-OPTIONAL = {"distributed", "pyproj"}  # a user's own Python brings them: requirements-dask.txt; the grids of countries
+# A user's own Python brings them: requirements-dask.txt; the grids of countries; requirements-e57.txt.
+OPTIONAL = {"distributed", "pyproj", "pye57"}
 # Blender brings its own, in its own process too: a wheel of it would come first on Blender's path and replace it.
 BLENDER_BRINGS = ("numpy",)
 # PyPI's torch for Linux is for NVIDIA cards, with three gigabytes of CUDA libraries. PyTorch's own index has the same

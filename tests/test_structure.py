@@ -16,14 +16,14 @@ from conftest import ROOT
 
 PACKAGE = "curecon_blender"
 FLOW = ("base", "photos", "sparse", "adjust", "views", "network", "depth", "cloud", "surface", "texture",
-        "report")
+        "report", "deliver")
 MAY_IMPORT = {room: FLOW[: place + 1] for place, room in enumerate(FLOW)}
 MAY_IMPORT |= {room: ("base", room) for room in ("site", "present", "plan")}
 MAY_IMPORT |= {"run": (*FLOW, "site", "plan", "run")}
 MOST_LINES, MOST_FUNCTION_LINES = 400, 60
 # In Blender's own process there are Blender's Python and NumPy; these are the worker's.
 WORKER_ONLY = ("torch", "cv2", "pycolmap", "scipy", "PIL", "pillow_heif", "psutil", "numba", "xatlas", "safetensors",
-               "distributed", "reportlab")
+               "distributed", "reportlab", "laspy", "lazrs")
 
 
 @cache

@@ -14,6 +14,7 @@ from . import (
     choose_photos,
     cloud_points,
     control_points,
+    deliver,
     export_cloud,
     export_surface,
     frame_ground,
@@ -43,6 +44,7 @@ CLASSES: tuple[type, ...] = (
     *choose_photos.CLASSES, *check_photos.CLASSES, *reconstruct.CLASSES, *make_model.CLASSES, *presets.CLASSES,
     *import_workspace.CLASSES,
     *build_surface.CLASSES, *export_surface.CLASSES, *export_cloud.CLASSES, *accuracy_report.CLASSES,
+    *deliver.CLASSES,
     *present_elevations.CLASSES, *present_moves.CLASSES, *present_renders.CLASSES, *present_photos.CLASSES,
     *present_sun.CLASSES,
     *frame_scale.CLASSES, *frame_level.CLASSES, *frame_north.CLASSES, *frame_ground.CLASSES, *frame_reset.CLASSES,
@@ -61,6 +63,7 @@ def _file_import(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
 def _file_export(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
     menu.layout.operator("curecon.export_surface", text="Surface (CU-Recon)")
     menu.layout.operator("curecon.export_cloud", text="Point Cloud (CU-Recon)")
+    menu.layout.operator("curecon.export_deliverables", text="Survey Deliverables (CU-Recon)")
     menu.layout.operator("curecon.render_elevations", text="Elevation Sheets (CU-Recon)")
 
 

@@ -32,6 +32,8 @@ STAGE_NAMES = {
     "photos": "Photos", "sparse": "Cameras", "adjust": "Adjustment", "views": "Undistorted photos",
     "depth": "Depth maps", "fusion": "Point cloud", "mesh": "Mesh", "texture": "Texture",
     "download": "Download", "unpack": "Unpacking",
+    "laz": "LAZ Cloud", "copc": "COPC Cloud", "e57": "E57 Cloud", "orthomosaic": "Orthomosaic", "dsm": "Surface Model",
+    "facades": "Façades", "contours": "Contours", "sections": "Sections",
 }
 
 status = Status()

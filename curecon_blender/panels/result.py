@@ -54,6 +54,7 @@ class CURECON_PT_result(Panel, bpy.types.Panel):
         if clouds or surfaces_of(context.scene):
             layout.operator("curecon.frame_cloud", icon="VIEWZOOM")
             layout.operator("curecon.accuracy_report", icon="TEXT")
+            layout.operator("curecon.export_deliverables", icon="EXPORT")
         row = layout.row(align=True)
         if clouds:
             row.prop(properties, "show_cloud", toggle=True, icon="POINTCLOUD_DATA")

@@ -19,9 +19,9 @@ from .reading import build, read_json
 
 Record = TypeVar("Record")
 
-# Folders that a job makes in its workspace, and the one for renders: the user's photos may lie beside them.
+# Folders that a job makes in its workspace, and those for what is made of it: the user's photos may lie beside them.
 JOB_FOLDERS = re.compile(r"sparse|undistorted|depth|stages|textured(_\d+)?|\..*")
-PRESENTATION = "presentation"
+PRESENTATION, DELIVERABLES = "presentation", "deliverables"
 # What an operating system says of a drive that was unplugged, lost its network, or breaks.
 _GONE = tuple(getattr(errno, name) for name in (
     "EIO", "ESTALE", "ENODEV", "ENXIO", "ENOTCONN", "ETIMEDOUT", "EHOSTDOWN", "EHOSTUNREACH", "EREMOTEIO",

@@ -41,8 +41,16 @@ PRESETS = {
 
 # The worker's commands.
 RUN, SURFACE, CHECK, REPORT = "reconstruct", "surface", "check", "report"
-CONTROL, PLAN, FRAMES = "control", "plan", "frames"
+CONTROL, EXPORT, PLAN, FRAMES = "control", "export", "plan", "frames"
 SELF_CHECK, LIBRARIES = "self-check", "libraries"
+
+# What `export` writes, and what its coordinates count from.
+POINT_FORMATS = ("laz", "copc", "e57")
+SURFACE_FORMATS = ("orthomosaic", "dsm", "facades")  # of the mesh, or of the cloud where there is none
+LINE_FORMATS = ("contours", "sections")  # of the mesh
+FORMATS = (*POINT_FORMATS, *SURFACE_FORMATS, *LINE_FORMATS)
+LOCAL, SITE, UTM = "local", "site", "utm"
+PLACEMENTS = (LOCAL, SITE, UTM)
 
 VIDEO_SUFFIXES = (".mp4", ".mov")  # that frames are taken of
 

@@ -9,6 +9,7 @@ for: it means nothing for another.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
 
@@ -17,7 +18,7 @@ import numpy as np
 from ..base.errors import WorkspaceError
 from ..base.files import atomic_write, disk_errors
 from ..base.reading import Expected, read_arrays
-from .ply import Cloud, read_cloud
+from .ply import Cloud, cloud_blocks, point_count, read_cloud
 
 _BLOCK, _BLOCKS = 1 << 16, 16  # bytes, and how many spread over the file, that its digest takes in
 
@@ -71,6 +72,14 @@ def read_edited_cloud(path: Path) -> Cloud:
     return cloud if removed is None else Cloud(**{
         field.name: getattr(cloud, field.name)[~removed] for field in fields(Cloud)
     })
+
+
+def edited_blocks(path: Path, size: int) -> Iterator[Cloud]:
+    """A cloud without the points that were taken out, at most `size` points at once. Raises WorkspaceError."""
+    removed, start = read_removed(path, point_count(path)), 0
+    for block in cloud_blocks(path, size):
+        yield block if removed is None else block.take(~removed[start : start + len(block)])
+        start += len(block)
 
 
 def edits_key(cloud: Path) -> str:

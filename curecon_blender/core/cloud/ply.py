@@ -13,7 +13,7 @@ import numpy as np
 
 from ..base.errors import WorkspaceError
 from ..base.ply import RowWriter, column, read_header, read_ply, row_type, table
-from ..base.reading import FARTHEST
+from ..base.reading import FARTHEST, left_bytes
 
 _POINT = row_type([
     ("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("nx", "<f4"), ("ny", "<f4"), ("nz", "<f4"),
@@ -80,15 +80,28 @@ def read_cloud(path: Path) -> Cloud:
     """Read a binary little-endian PLY with at least x, y, z; missing colour, normal, confidence, views or sigmas
     become white, zero, 1, 0 and 0. Raises WorkspaceError for a file that is missing, cut short or of another kind."""
     with _cloud_errors(path):
-        rows = read_ply(path, ["vertex"])[1]["vertex"]
-        return Cloud(
-            points=_values(rows, "x y z", np.float32, None),
-            colours=_values(rows, "red green blue", np.uint8, 255),
-            normals=_values(rows, "nx ny nz", np.float32, 0),
-            confidence=_values(rows, "confidence", np.float32, 1)[:, 0],
-            views=_values(rows, "views", np.uint8, 0)[:, 0],
-            sigmas=_values(rows, "sigma_x sigma_y sigma_z", np.float32, 0),
-        )
+        return _cloud_of(read_ply(path, ["vertex"])[1]["vertex"])
+
+
+def cloud_blocks(path: Path, size: int) -> Iterator[Cloud]:
+    """The points of a file, see `read_cloud`, at most `size` at once. Raises WorkspaceError."""
+    with _cloud_errors(path), open(path, "rb") as file:
+        count, kind = read_header(file, ["vertex"]).elements["vertex"]
+        if count * kind.itemsize > left_bytes(path, file.tell()):
+            raise ValueError("it is cut short")
+        for start in range(0, count, size):
+            yield _cloud_of(np.fromfile(file, kind, min(size, count - start)))
+
+
+def _cloud_of(rows: np.ndarray) -> Cloud:
+    return Cloud(
+        points=_values(rows, "x y z", np.float32, None),
+        colours=_values(rows, "red green blue", np.uint8, 255),
+        normals=_values(rows, "nx ny nz", np.float32, 0),
+        confidence=_values(rows, "confidence", np.float32, 1)[:, 0],
+        views=_values(rows, "views", np.uint8, 0)[:, 0],
+        sigmas=_values(rows, "sigma_x sigma_y sigma_z", np.float32, 0),
+    )
 
 
 def _values(rows: np.ndarray, names: str, kind: type, default: float | None) -> np.ndarray:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from ..base import images
 from ..base.errors import PhotoError
-from ..base.files import JOB_FOLDERS, PRESENTATION
+from ..base.files import DELIVERABLES, JOB_FOLDERS, PRESENTATION
 from ..base.options import VIDEO_SUFFIXES
 from ..base.records import SkippedPhoto
 
@@ -73,7 +73,8 @@ def find_files(source: Path) -> Files:
         raise PhotoError(f"The folder {source} does not exist.", remedy="Choose the folder of the photos.", path=source)
     folders = _visible(source, folders=True)
     if (source / "workspace.json").exists():  # the photos' folder is the workspace too: do not take up our own results
-        folders = [f for f in folders if not JOB_FOLDERS.fullmatch(f.name) and f.name != PRESENTATION]
+        own = (PRESENTATION, DELIVERABLES)
+        folders = [f for f in folders if not JOB_FOLDERS.fullmatch(f.name) and f.name not in own]
     for card in [folder for folder in folders if folder.name.casefold() == CARD]:
         folders += _visible(card, folders=True)
     files = [

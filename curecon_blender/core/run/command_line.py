@@ -7,15 +7,20 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from dataclasses import Field, fields
+from math import radians
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 from ..base.options import (
     CHECK,
     CONTROL,
     DICTIONARIES,
+    EXPORT,
+    FORMATS,
     FRAMES,
     LIBRARIES,
+    LOCAL,
+    PLACEMENTS,
     PLAN,
     REPORT,
     RUN,
@@ -27,9 +32,13 @@ from ..base.options import (
     Options,
     declared,
 )
+from ..base.reading import FARTHEST
 from ..plan.drones import DRONES
 from ..plan.mission import KINDS
 from ..plan.records import Wishes
+
+if TYPE_CHECKING:
+    from ..deliver.write import Choices
 
 EXIT_CODES = """exit codes:
   0  done                     5  workspace: read-only, full, in use, newer
@@ -38,7 +47,7 @@ EXIT_CODES = """exit codes:
   3  photos unusable          8  no point that enough views agree on
   4  cameras not found        9  a library is missing from this Python
  10  no mesh or no texture can be made     11  out of memory
- 12  control points unusable
+ 12  control points unusable          13  nothing of that format can be made of the site
  14  no flight can be planned
 130  cancelled
 """
@@ -99,6 +108,7 @@ def parser() -> argparse.ArgumentParser:
     libraries.add_argument("--locks", type=Path, required=True, help="folder of lock files")
     libraries.add_argument("--index", nargs="+", default=[], metavar="ADDRESS",
                            help="package indexes in place of pypi.org and pytorch.org")
+    _export_arguments(command(EXPORT, "the finished site in surveyors' formats"))
     command(SELF_CHECK, "reconstruct synthetic views, and say what this computer has")
     return main
 
@@ -149,6 +159,39 @@ def _percent(text: str) -> float:
     if not 0 <= value <= 95:
         raise argparse.ArgumentTypeError(f"{text} is not between 0 and 95")
     return value
+def _export_arguments(export: argparse.ArgumentParser) -> None:
+    export.add_argument("workspace", type=Path)
+    export.add_argument("--format", choices=FORMATS, nargs="+", required=True, help="what to write")
+    export.add_argument("--frame", choices=PLACEMENTS, default=LOCAL,
+                        help="local: nothing tells where the site is; site: the same coordinates, and where their "
+                        "origin lies; utm: easting, northing, altitude (default: %(default)s)")
+    export.add_argument("--to", type=Path, metavar="FOLDER",
+                        help="an empty folder (default: deliverables/FRAME in the workspace)")
+    size = Argument(flag="", help="", least=0, above=True, most=FARTHEST)
+    export.add_argument("--pixel", type=_within(float, size), metavar="METRES",
+                        help="side of a pixel of pictures and heights (default: as fine as what was measured)")
+    export.add_argument("--interval", type=_within(float, size), metavar="METRES", help="between two contours")
+    place = Argument(flag="", help="", least=-FARTHEST, most=FARTHEST)
+    export.add_argument("--plan", type=_within(float, place), nargs="+", default=[], metavar="HEIGHT",
+                        help="level cuts at these heights above the site's zero, in metres")
+    export.add_argument("--section", type=_within(float, place), nargs=4, action="append", default=[],
+                        metavar=("X0", "Y0", "X1", "Y1"),
+                        help="an upright cut between two places of the site frame; once for each cut")
+    export.add_argument("--turn", type=_within(float, Argument(flag="", help="", least=-360, most=360)),
+                        metavar="DEGREES", help="of the facades, anticlockwise from x (default: as the walls stand)")
+    export.add_argument("--licence", default="", help="written into each file")
+    export.add_argument("--credit", default="", help="written into each file")
+
+
+def choices_of(given: argparse.Namespace) -> Choices:
+    """How parsed arguments want the deliverables."""
+    from ..deliver.write import Choices
+
+    return Choices(
+        pixel=given.pixel, interval=given.interval, plans=tuple(given.plan),
+        sections=tuple((x0, y0, x1, y1) for x0, y0, x1, y1 in given.section),
+        turn=None if given.turn is None else radians(given.turn), licence=given.licence, credit=given.credit,
+    )
 
 
 def options_of(given: argparse.Namespace) -> Options:

@@ -17,15 +17,15 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
 from ..base import messages
 from ..base.errors import CuReconError, OutOfMemory, SetupError, ran_out_of_memory
 from ..base.messages import Message, Reporter
-from ..base.options import CONTROL, FRAMES, LIBRARIES, PLAN
-from .command_line import options_of, parser
+from ..base.options import CONTROL, EXPORT, FRAMES, LIBRARIES, PLAN
+from .command_line import choices_of, options_of, parser
 
 NEEDED = ("numpy", "PIL", "pillow_heif", "psutil", "cv2", "safetensors", "scipy", "torch", "pycolmap", "xatlas",
           "numba")
@@ -55,7 +55,7 @@ def main(arguments: list[str] | None = None) -> int:
 
     try:
         if options.command != LIBRARIES:
-            _require_libraries(by_hand=not options.messages)
+            _require_libraries(NEEDED, by_hand=not options.messages)
         # After the libraries: pycolmap's logging installs handlers of its own when it is imported.
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: cancel.set())
@@ -111,13 +111,18 @@ def _run(options: argparse.Namespace, reporter: Reporter) -> dict[str, object]:
 
         about = About(name=options.name, by=options.by, when=options.when)
         return report(options.workspace, about, options.language, options.font, reporter)
+    if options.command == EXPORT:
+        _require_libraries(("laspy", "lazrs"), by_hand=not options.messages)
+        from .export import export
+
+        return export(options.workspace, options.format, options.frame, options.to, choices_of(options), reporter)
     return pipeline.reconstruct(options_of(options), reporter)
 
 
-def _require_libraries(*, by_hand: bool) -> None:
+def _require_libraries(names: Sequence[str], *, by_hand: bool) -> None:
     """Raises SetupError for the first library that is missing; `by_hand` says how somebody at a command line brings it.
     """
-    for name in NEEDED:
+    for name in names:
         try:
             importlib.import_module(name)
         except ModuleNotFoundError as error:
@@ -218,6 +223,9 @@ def _in_words(summary: dict[str, object]) -> str:
     """The few figures that a person wants at the end."""
     if "report" in summary:
         return "\n".join(dict(summary["report"]).values())  # type: ignore[call-overload]
+    if "deliverables" in summary:
+        made: Any = summary["deliverables"]
+        return "\n".join([*summary["words"], *(f"{one['file']}: {one['says']}" for one in made)])  # type: ignore[misc]
     if "points" in summary:
         clouds = summary["paths"]["clouds"] if isinstance(summary["paths"], dict) else []
         where = f"\n{', '.join(clouds)}" if clouds else ""

@@ -50,6 +50,17 @@ def inverse_depth_buffer(corners: np.ndarray, inverse_depth: np.ndarray, width: 
     return buffer
 
 
+def nearest_faces(
+    corners: np.ndarray, nearness: np.ndarray, width: int, height: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """The face that an orthographic viewer sees at each pixel (H,W) int32, -1 for none, and the pixel's barycentric
+    coordinates (H,W,3) float32 on it. `corners` (M,3,2) pixels; `nearness` (M,3) grows towards the viewer."""
+    face, weights = np.full((height, width), -1, np.int32), np.zeros((height, width, 3), np.float32)
+    _keep_nearest_face(np.ascontiguousarray(corners, np.float64), np.ascontiguousarray(nearness, np.float32), face,
+                       weights)
+    return face, weights
+
+
 @_compiled
 def _first_centre(position, size):  # type: ignore[no-untyped-def]
     """The first of `size` pixels along an axis whose centre is at `position` or beyond."""
@@ -142,3 +153,21 @@ def _keep_nearest(corners, inverse_depth, buffer):  # type: ignore[no-untyped-de
                 a, b, c = _weights(triangle, slopes, column, row)
                 value = a * inverse_depth[face, 0] + b * inverse_depth[face, 1] + c * inverse_depth[face, 2]
                 buffer[row, column] = max(buffer[row, column], value)
+
+
+@_compiled
+def _keep_nearest_face(corners, nearness, faces, weights):  # type: ignore[no-untyped-def]
+    height, width = faces.shape
+    nearest = np.full((height, width), -np.inf, np.float32)
+    for face in range(len(corners)):
+        triangle = corners[face]
+        slopes = _slopes(triangle)
+        first_row, end_row = _rows(triangle, height)
+        for row in range(first_row, end_row):
+            first, end = _columns(triangle, row, width)
+            for column in range(first, end):
+                a, b, c = _weights(triangle, slopes, column, row)
+                value = a * nearness[face, 0] + b * nearness[face, 1] + c * nearness[face, 2]
+                if value > nearest[row, column]:
+                    nearest[row, column], faces[row, column] = value, face
+                    weights[row, column, 0], weights[row, column, 1], weights[row, column, 2] = a, b, c
