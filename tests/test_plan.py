@@ -22,9 +22,10 @@ from curecon_blender.core.base.errors import PlanError
 from curecon_blender.core.base.records import GeoPosition
 from curecon_blender.core.plan import coverage, site
 from curecon_blender.core.plan.drones import DRONES
-from curecon_blender.core.plan.mission import KINDS, plan
+from curecon_blender.core.plan.mission import FORMS, plan
 from curecon_blender.core.plan.outlines import area
-from curecon_blender.core.plan.records import Building, Plan, Wishes
+from curecon_blender.core.plan.records import Building, Plan
+from curecon_blender.core.plan.wishes import KINDS, Wishes
 from evaluation.cloud_metrics import read_points
 
 DRONE = DRONES["mini4pro"]
@@ -100,6 +101,10 @@ def test_no_flight_is_longer_than_its_battery_or_the_apps_list(kind: str) -> Non
         assert len(flight.waypoints) <= DRONE.waypoints
     small = plan(kind, made.building, replace(DRONE, waypoints=40, minutes=5), WISHES)
     assert len(small.flights) > len(made.flights)
+
+
+def test_every_kind_that_can_be_asked_for_can_be_flown() -> None:
+    assert tuple(FORMS) == KINDS
 
 
 def test_the_mission_of_the_tulou_study_keeps_its_height_and_overlap() -> None:

@@ -11,7 +11,7 @@ import bpy
 from bpy.props import EnumProperty, FloatProperty, FloatVectorProperty, IntProperty, PointerProperty, StringProperty
 
 from ..core.plan.drones import DRONES
-from ..core.plan.records import Wishes
+from ..core.plan.wishes import Wishes
 
 KINDS = (
     ("building", "Building", "A house or a church: orbits at the height of its walls, one from above, and a grid"),

@@ -13,7 +13,8 @@ from ..core.base.records import GeoPosition
 from ..core.plan import coverage, site
 from ..core.plan.drones import DRONES
 from ..core.plan.mission import plan
-from ..core.plan.records import Building, Plan, Wishes
+from ..core.plan.records import Building, Plan
+from ..core.plan.wishes import Wishes
 from . import cameras, frame, points
 
 NAME = "CU-Recon Flight Plan"

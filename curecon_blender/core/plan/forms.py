@@ -10,7 +10,8 @@ import numpy as np
 
 from .drones import Drone
 from .outlines import around, heading_vector, headings_of, hull, lines, middle
-from .records import Building, Leg, Wishes
+from .records import Building, Leg
+from .wishes import Wishes
 
 MOST_TURN = 12.0  # degrees between neighbouring photos of an orbit: matching fails beyond about 35, and three must see
 LOWEST = 3.0  # metres above the ground

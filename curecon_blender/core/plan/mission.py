@@ -14,7 +14,8 @@ from . import forms
 from .drones import Drone
 from .obstacles import along
 from .outlines import area, hull
-from .records import Building, Flight, Leg, Plan, Waypoint, Wishes
+from .records import Building, Flight, Leg, Plan, Waypoint
+from .wishes import Wishes
 
 SPEED = 5.0  # metres a second between photos
 HOLD = 2.5  # seconds for a photo: to stop, hang still and go on
@@ -60,8 +61,8 @@ def _tulou(building: Building, drone: Drone, wishes: Wishes) -> list[Leg]:
     return [*_building(building, drone, wishes), *forms.court(building, drone, wishes)]
 
 
-# What is flown for a kind of building, or a single form, by the word that a person chooses.
-KINDS: dict[str, Form] = {
+# By the word that a person chooses, as in wishes.KINDS.
+FORMS: dict[str, Form] = {
     "building": _building,
     "tulou": _tulou,
     "tower": _tower,
@@ -88,7 +89,7 @@ def plan(kind: str, building: Building, drone: Drone, wishes: Wishes) -> Plan:
     _check(building, wishes)
     notes: list[str] = []
     legs = []
-    for leg in KINDS[kind](building, drone, wishes):
+    for leg in FORMS[kind](building, drone, wishes):
         legs.append(_clear(_within_gimbal(leg, drone, notes), building, wishes, notes))
     coarse = [leg for leg in legs if drone.pixel_at(leg.distance) > 1.5 * wishes.pixel]
     for leg in coarse:

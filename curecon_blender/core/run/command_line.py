@@ -34,8 +34,7 @@ from ..base.options import (
 )
 from ..base.reading import FARTHEST
 from ..plan.drones import DRONES
-from ..plan.mission import KINDS
-from ..plan.records import Wishes
+from ..plan.wishes import KINDS, Wishes
 
 if TYPE_CHECKING:
     from ..deliver.write import Choices

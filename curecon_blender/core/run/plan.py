@@ -15,7 +15,8 @@ from ..cloud.ply import read_cloud
 from ..plan import coverage, site
 from ..plan.drones import DRONES, Drone
 from ..plan.mission import plan
-from ..plan.records import Building, Wishes
+from ..plan.records import Building
+from ..plan.wishes import Wishes
 from ..plan.write import facts, write_plan
 from ..views import record as views_record
 
