@@ -11,10 +11,10 @@ into the views that overlap it:
 * any view that was fused before, overlapping by many sparse points or not, makes the pixel a duplicate when it
   *accepted* a point there: wrote it, or knew it as written by another.
 
-N_c (`Options.min_views`) counts the reference as one of the views, as `Cloud.views` does and as Vis-MVSNet's filter
-does: three photos that all agree are enough for a point. Unless N_c is given, so are two that are sure in the mean, if
-no photo looks through the point: what a site's few photos see from one side only, such as an outer wall, is otherwise
-lost. On the sample site that adds 5 % to the recall and costs no precision.
+A point is kept on its evidence (Sums.evidence): how sure the views are that agree, and how far apart their rays are.
+Two sure photos from different sides are enough; three unsure ones from one side are not. Neither is a point kept that
+surer photos look through. Where N_c (`Options.min_views`) is given, it alone decides: so many views must agree, the
+reference among them, as `Cloud.views` counts and Vis-MVSNet's filter does.
 
 A reference is fused in bands of rows, and the depth maps of other photos wait in a cache: both are as large as the
 memory budget allows, and the cloud is the same for any. The depths accepted wait on disk (4 bytes a pixel until the
@@ -42,11 +42,12 @@ from .ply import Cloud, CloudWriter
 from .precision import SparsePrecision
 
 _SPARSE = 16  # one pixel in so many, along rows and columns, tells whether two pictures have anything in common
-_VIEWS = 3  # N_c, as in the paper
-_SURE = 0.9  # confidence: 97 % of the pixels with more are right within one depth interval
+# By precision and recall on rendered flights (docs/design/fusion_and_surface.md).
+_EVIDENCE = 0.005  # of two sure photos whose rays are 4 degrees apart, of two of confidence 0.6 at 15 degrees
+_THROUGH = 1 / 3  # of the confidence of those that agree: more must not look through a point
 # Peak memory, measured (benchmarks/scale.py): fixed; for each pixel of the largest depth map, besides what is kept of
 # it, while one is read and its sky is found; and for each pixel of a band.
-BASE_BYTES, READING_BYTES, BAND_BYTES = 300 << 20, 10, 46
+BASE_BYTES, READING_BYTES, BAND_BYTES = 300 << 20, 10, 55
 MOST_CACHE = 2 << 30  # bytes: the dozen neighbours of a photo of 20 megapixels; of larger ones, reading is a small part
 LEAST_BAND = 1 << 20  # pixels: smaller bands would read the neighbours again and again
 
@@ -93,8 +94,8 @@ def fuse(component: Component, workspace: Path, options: Options, reporter: Repo
     for a depth map or picture that is missing, damaged or of another camera, and NoPointsError when too few views
     agree anywhere; a cloud from an earlier run is then left as it was.
     """
-    min_views = options.min_views or _VIEWS
-    if len(component.views) < min_views:
+    min_views = options.min_views
+    if len(component.views) < (min_views or 3):
         min_views = len(component.views)
         reporter.warning(f"Only {min_views} photos hang together here: points need no more than their agreement.")
     planned = plan((view.width * view.height for view in component.views), memory.budget(options))
@@ -122,8 +123,8 @@ def fuse(component: Component, workspace: Path, options: Options, reporter: Repo
         reporter.progress(100, 100)
         if writer.count == 0:
             raise NoPointsError(
-                f"Too few views agree: none of the {len(order)} photos' depth has a point that {min_views} of them see "
-                f"at the same place with confidence {options.min_confidence:g}.",
+                f"Too few views agree: none of the {len(order)} photos' depth has a point that {min_views or 2} of them "
+                f"see at the same place with confidence {options.min_confidence:g}.",
                 remedy="Take photos that overlap more, or try again with a lower minimum confidence or fewer "
                 "confirming views.",
                 path=workspace / component.cloud,
@@ -139,7 +140,7 @@ class _Job:
     writer: CloudWriter
     precision: SparsePrecision
     options: Options
-    min_views: int
+    min_views: int | None  # None: by the evidence
     reporter: Reporter
 
 
@@ -193,10 +194,7 @@ def _fuse_band(reference: _Reference, top: int, bottom: int, job: _Job) -> Itera
     for number, other in enumerate(reference.near):
         yield number / len(reference.near)
         confirm(fresh, other, job.depth_maps[other], sums, options, reporter)
-    keep = sums.views >= job.min_views
-    if options.min_views is None:
-        keep |= (sums.views >= 2) & (sums.weight >= _SURE * sums.views) & ~sums.seen_through
-    band = _Band(reference, first, last, candidates, fresh, sums, keep)
+    band = _Band(reference, first, last, candidates, fresh, sums, _is_known(sums, job))
     strip = max(1, BLOCK // view.width)
     with disk_errors(reference.accepted), open(reference.accepted, "ab") as file:
         for start in range(top, bottom, strip):
@@ -205,6 +203,15 @@ def _fuse_band(reference: _Reference, top: int, bottom: int, job: _Job) -> Itera
             cloud = band.cloud(start, stop)
             job.writer.write(replace(cloud, sigmas=job.precision.sigmas(cloud.points, cloud.confidence, cloud.views)))
             file.write(band.accepted(start, stop).data)
+
+
+def _is_known(sums: Sums, job: _Job) -> np.ndarray:
+    """Which of n points (n,) bool there is enough evidence for."""
+    if job.min_views is not None:
+        known: np.ndarray = sums.views >= job.min_views
+    else:
+        known = (sums.evidence() >= _EVIDENCE) & (sums.through <= _THROUGH * sums.weight)
+    return known
 
 
 @dataclass(frozen=True)
