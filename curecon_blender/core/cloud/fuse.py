@@ -43,7 +43,7 @@ from .precision import SparsePrecision
 
 _SPARSE = 16  # one pixel in so many, along rows and columns, tells whether two pictures have anything in common
 # By precision and recall on rendered flights (docs/design/fusion_and_surface.md).
-_EVIDENCE = 0.005  # of two sure photos whose rays are 4 degrees apart, of two of confidence 0.6 at 15 degrees
+_EVIDENCE = 0.005  # of two sure photos whose rays are 4 degrees apart, of two of confidence 0.5 at 11 degrees
 _THROUGH = 1 / 3  # of the confidence of those that agree: more must not look through a point
 # Peak memory, measured (benchmarks/scale.py): fixed; for each pixel of the largest depth map, besides what is kept of
 # it, while one is read and its sky is found; and for each pixel of a band.
@@ -123,8 +123,8 @@ def fuse(component: Component, workspace: Path, options: Options, reporter: Repo
         reporter.progress(100, 100)
         if writer.count == 0:
             raise NoPointsError(
-                f"Too few views agree: none of the {len(order)} photos' depth has a point that {min_views or 2} of them "
-                f"see at the same place with confidence {options.min_confidence:g}.",
+                f"Too few views agree: none of the {len(order)} photos' depth has a point that {min_views or 2} of "
+                f"them see at the same place with confidence {options.min_confidence:g}.",
                 remedy="Take photos that overlap more, or try again with a lower minimum confidence or fewer "
                 "confirming views.",
                 path=workspace / component.cloud,

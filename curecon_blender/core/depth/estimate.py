@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +24,7 @@ from .maps import is_finished, write_depth
 from .tiles import Tile, TilePlan, kept_part, memory_budget, plan_tiles
 
 RELEASE_EVERY = 16  # photos: what lies between the features that are kept would else add up, a few MB a photo
-FEATURE_BYTES = 1 << 30  # of photos' features kept: a photo's neighbours, some dozens
+FEATURES_KEPT = 2  # times a photo and its sources: so many photos' features are kept
 SURE, UNSURE = 0.9, 0.5  # confidence
 REACH = 1.2  # times the farthest reliable depth: no unsure pixel lies beyond; the margin that depth_range gives
 
@@ -51,6 +51,11 @@ def choose_precision(name: str, device: torch.device) -> torch.dtype:
     return torch.bfloat16 if name == "bf16" else torch.float32
 
 
+def features_kept(options: Options) -> int:
+    """Of how many photos the features are kept."""
+    return FEATURES_KEPT * (1 + options.source_views)
+
+
 class DepthEstimator:
     """The network on its device, with the features of whole photos kept while they serve as sources."""
 
@@ -62,6 +67,7 @@ class DepthEstimator:
         self._network = network.to(self.device).eval().fold_batch_norm()
         if self.dtype == torch.bfloat16 or self.device.type == "cpu":
             self._network.channels_last()
+        self._kept = features_kept(options)
         self._features: OrderedDict[str, tuple[Tensor, ...]] = OrderedDict()
         self.left_out = False  # whether parts of the last photo went without some sources, for want of memory
 
@@ -135,7 +141,8 @@ class DepthEstimator:
         return torch.from_numpy(rgb).to(self.device).permute(2, 0, 1).unsqueeze(0).float().div_(255)
 
     def _features_of(self, view: View, region: Tile, whole: bool) -> tuple[Tensor, ...]:
-        """Features of a region; those of whole photos are kept within FEATURE_BYTES and a quarter of the budget."""
+        """Features of a region; those of the last whole photos are kept (features_kept), within a quarter of the
+        budget."""
         if whole and view.name in self._features:
             self._features.move_to_end(view.name)
             return self._features[view.name]
@@ -146,7 +153,7 @@ class DepthEstimator:
         else:
             self._features[view.name] = features
             size = sum(f.numel() * f.element_size() for f in features)
-            while len(self._features) > max(1, min(FEATURE_BYTES, self.budget // 4) // size):
+            while len(self._features) > max(1, min(self._kept, self.budget // 4 // size)):
                 self._features.popitem(last=False)
         return features
 
@@ -187,6 +194,32 @@ def unfinished(components: list[Component], workspace: Path, key: str) -> list[t
     ]
 
 
+def by_neighbours(
+    left: list[tuple[View, dict[str, View]]], kept: int
+) -> list[tuple[View, dict[str, View]]]:
+    """The same photos in an order in which the next is one that asks for most of the `kept` pictures used last, so that
+    few features are computed twice. Each photo's result is the same in any order."""
+    asked = [(view.name, *(name for name, _ in view.sources)) for view, _ in left]
+    asks: dict[str, list[int]] = {}  # for a picture
+    for number, names in enumerate(asked):
+        for name in names:
+            asks.setdefault(name, []).append(number)
+    waiting = dict.fromkeys(range(len(left)))
+    recent: OrderedDict[str, None] = OrderedDict()
+    order = []
+    while waiting:
+        shared = Counter(number for name in recent for number in asks[name] if number in waiting)
+        chosen = max(shared, key=lambda number: (shared[number], -number)) if shared else next(iter(waiting))
+        del waiting[chosen]
+        order.append(left[chosen])
+        for name in asked[chosen]:
+            recent[name] = None
+            recent.move_to_end(name)
+        while len(recent) > kept:
+            recent.popitem(last=False)
+    return order
+
+
 def make_depth(estimator: DepthEstimator, view: View, views: dict[str, View], workspace: Path, key: str) -> bool:
     """Estimate one view and write its depth map, whole or not at all; a view without sources gets no depth. Whether
     parts of it went without some sources, for want of memory."""
@@ -222,7 +255,7 @@ def estimate_depths(
     left = unfinished(components, workspace, key)
     done, total = start_progress(components, left, reporter)
     left_out = 0
-    for view, views in left:
+    for view, views in by_neighbours(left, features_kept(options)):
         left_out += make_depth(estimator, view, views, workspace, key)
         done += 1
         if done % RELEASE_EVERY == 0:

@@ -28,7 +28,7 @@ from ..base.reading import Within, build, read_json
 from ..base.records import Photo
 from ..cloud import fuse
 from ..depth import tiles
-from ..depth.estimate import FEATURE_BYTES, choose_device, choose_precision
+from ..depth.estimate import choose_device, choose_precision, features_kept
 from ..sparse.matches import PHOTOS_KEPT
 from ..sparse.pairs import expected_pairs, metadata_pairs
 from ..sparse.parallel import threads
@@ -202,7 +202,7 @@ def _peak_bytes(photos: tuple[Photo, ...], options: Options) -> dict[str, float]
     per_pixel = tiles.bytes_per_pixel(_hypotheses(photos, size))
     per_pixel += options.source_views * tiles.BYTES_PER_SOURCE_PIXEL
     tile = max(min(tiles.BASE_BYTES + max(pixels) * per_pixel, budget), tiles.LEAST_BUDGET)
-    features = min(FEATURE_BYTES, budget / 4, sum(pixels) * FEATURE_BYTES_PER_PIXEL)
+    features = min(budget / 4, sum(sorted(pixels)[-features_kept(options) :]) * FEATURE_BYTES_PER_PIXEL)
     faces = max(options.mesh_faces, MeshOptions.max_faces)  # fewer take no more of the cloud away
     meshed = min(sum(pixels), PIXELS_A_POINT * POINTS_A_FACE * faces)
     peaks = {
