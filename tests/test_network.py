@@ -16,7 +16,7 @@ from box_scene import cast, make_view, write_scene
 from curecon_blender.core.base.errors import DeviceError
 from curecon_blender.core.base.options import Options
 from curecon_blender.core.base.records import View
-from curecon_blender.core.depth.estimate import DepthEstimator, within_reach
+from curecon_blender.core.depth.estimate import DepthEstimator, by_neighbours, within_reach
 from curecon_blender.core.depth.tiles import (
     BASE_BYTES,
     BYTES_PER_SOURCE_PIXEL,
@@ -39,7 +39,7 @@ from curecon_blender.core.network.model import (
     warp,
 )
 from curecon_blender.core.network.weights import load_network
-from curecon_blender.core.views.scores import depth_range, matching_score
+from curecon_blender.core.views.scores import depth_range, matching_score, nearest_supported
 from training.losses import linear_label, unified_label
 
 
@@ -175,6 +175,21 @@ def test_depth_range_holds_the_points_and_shrugs_off_a_stray_one() -> None:
     near, far = depth_range(depths)
     assert near < 10 and 20 < far < 40
     assert (near, far) == pytest.approx(depth_range(depths[:-1]), rel=0.01)
+
+
+def test_a_foreground_that_several_points_share_is_swept_and_one_stray_point_is_not() -> None:
+    rng = np.random.default_rng(0)
+    depths = np.linspace(30, 60, 2000)
+    facade = np.column_stack([rng.uniform(0, 800, 2000), rng.uniform(0, 400, 2000), depths, np.ones(2000)])
+    stray = np.array([[400.0, 500.0, 8.0, 1.0]])
+    yard = np.column_stack([rng.uniform(300, 340, 10), rng.uniform(560, 600, 10), np.full(10, 15.0), np.zeros(10)])
+    plain = depth_range(depths)
+    assert depth_range(depths, nearest_supported(np.concatenate([facade, stray]), 800)) == plain
+    near, far = depth_range(depths, nearest_supported(np.concatenate([facade, stray, yard]), 800))
+    assert 13 < near < 15 and far == plain[1]
+    assert nearest_supported(np.zeros((0, 4)), 800) == np.inf
+    nearer, _ = depth_range(depths, 0.01)  # a sweep never becomes many times as long
+    assert nearer > 9
 
 
 def test_depth_range_reaches_ground_beyond_the_farthest_point() -> None:
@@ -348,3 +363,25 @@ def test_an_unsure_pixel_is_not_thrown_far_beyond_what_the_photo_reaches() -> No
     confidence[:4, 25:] = 0.2  # then the photo reaches as far as its point
     assert np.allclose(within_reach(depth, confidence, matched)[:4], 36)
     assert (within_reach(depth, np.zeros_like(confidence), matched[1:]) == depth).all()  # nothing to go by
+
+
+def test_photos_take_turns_so_that_few_features_are_computed_twice() -> None:
+    """Two passes of ten photos along a wall, taken in turns; each asks for those beside it in its own pass."""
+    names = [f"{place}{line}" for place in range(10) for line in "ab"]
+    views = {name: replace(make_view(0, 4), name=name, sources=tuple(
+        (f"{near}{name[1]}", 1.0) for near in (int(name[0]) - 1, int(name[0]) + 1) if 0 <= near < 10
+    )) for name in names}
+    left = [(view, views) for view in views.values()]
+    ordered = by_neighbours(left, 4)
+    assert sorted(view.name for view, _ in ordered) == sorted(names)
+
+    def computed(photos: list[tuple[View, dict[str, View]]]) -> int:
+        kept: list[str] = []
+        count = 0
+        for view, _ in photos:
+            for name in (view.name, *(source for source, _ in view.sources)):
+                count += name not in kept
+                kept = [*(k for k in kept if k != name), name][-4:]
+        return count
+
+    assert computed(ordered) == 20 < computed(left)

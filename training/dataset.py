@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from curecon_blender.core.network.homographies import mean_disparity
-from curecon_blender.core.views.scores import depth_range, matching_score
+from curecon_blender.core.views.scores import depth_range, matching_score, nearest_supported
 from curecon_blender.core.views.sparse_points import points_in
 from training.generator import Scene
 
@@ -49,10 +49,12 @@ def source_scores(scene: Scene, reference: int) -> list[tuple[int, float]]:
 
 
 def sparse_depth_range(scene: Scene, reference: int) -> tuple[float, float]:
-    """(near, far) of a view from the sparse points it sees, as in use."""
-    pose = scene.cam_from_world[reference]
-    depths = scene.points[scene.visible[reference]] @ pose[2, :3] + pose[2, 3]
-    return depth_range(depths[depths > 0])
+    """(near, far) of a view from the sparse points, as in use."""
+    pose, visible = scene.cam_from_world[reference], scene.visible[reference]
+    depths = scene.points[visible] @ pose[2, :3] + pose[2, 3]
+    height, width = scene.depth.shape[1:]
+    inside = points_in(scene.points, visible, scene.K[reference], pose, (width, height))
+    return depth_range(depths[depths > 0], nearest_supported(inside, width))
 
 
 def _sweep_pixels(

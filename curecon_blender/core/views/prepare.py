@@ -18,7 +18,7 @@ from ..base.records import Component, PhotoSet, View
 from ..sparse.models import lens_of, read_model
 from ..sparse.record import read_frame
 from . import sparse_points
-from .scores import depth_range, matching_score
+from .scores import depth_range, matching_score, nearest_supported
 from .undistortion import undistort
 
 OVERLAPS = 12  # views kept for fusion's confirmation, by shared sparse points
@@ -62,7 +62,7 @@ def prepare_views(photo_set: PhotoSet, options: Options, workspace: Path, report
             matched[[number[p.point3D_id] for p in image.get_observation_points2D()]] = True
             inside = sparse_points.points_in(points, matched, K, pose, (rgb.shape[1], rgb.shape[0]))
             sparse_points.write(workspace, image.name, inside)
-            near, far = depth_range(depths)
+            near, far = depth_range(depths, nearest_supported(inside, rgb.shape[1]))
             scored = [(model.images[i].name, score) for i, score, _ in neighbours[image_id] if score > 0]
             shared = sorted(neighbours[image_id], key=lambda n: -n[2])[:OVERLAPS]
             views.append(View(
