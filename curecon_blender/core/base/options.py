@@ -131,7 +131,7 @@ class Options:
     min_confidence: float = field(default=0.3, metadata=_as(
         "--min-confidence", "least confidence of a depth that becomes a point", least=0, most=1))
     min_views: int | None = field(default=None, metadata=_as(
-        "--min-views", "views that must agree (default: three, or two that are sure)", unit="views", least=1))
+        "--min-views", "views that must agree (default: by their confidence and angle)", unit="views", least=1))
     max_reprojection_error: float = field(default=1.0, metadata=_as(
         "--max-reprojection-error", "up to which two views agree on a point", unit="pixels", **_ABOVE_ZERO))
     max_depth_difference: float = field(default=0.01, metadata=_as(
