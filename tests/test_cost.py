@@ -44,7 +44,7 @@ MEASURED = [
     (32, 1600, 1300, True, "preview", 68, 85, 9, 2.3),
     (11, 2832, 2128, False, "preview", None, 33, 3, 1.6),
     (11, 3072, 2048, False, "preview", None, 34, 3, 1.8),
-    (172, 800, 600, True, "preview", None, 375, 42, 3.1),
+    (172, 800, 600, True, "preview", None, 375, 42, None),
 ]
 
 

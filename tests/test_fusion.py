@@ -131,12 +131,12 @@ def test_wrong_depth_in_one_view_is_rejected(tmp_path: Path) -> None:
     assert len(cloud) > 15_000
 
 
-@pytest.mark.parametrize(("confidence", "arc", "found"), [(0.95, 360.0, True), (0.8, 360.0, True),
-                                                            (0.35, 360.0, False), (0.95, 16.0, False)])
+@pytest.mark.parametrize(("confidence", "arc", "found"), [(0.95, 64.0, True), (0.6, 360.0, True),
+                                                            (0.6, 64.0, False), (0.95, 16.0, False)])
 def test_what_two_photos_alone_see_counts_if_they_are_sure_and_apart(
     tmp_path: Path, confidence: float, arc: float, found: bool
 ) -> None:
-    """45 degrees between neighbours, or 2."""
+    """45 degrees between neighbours, 8 or 2."""
     component = write_scene(tmp_path, ring(8, arc=arc), confidence=confidence)
     for view in component.views[2:]:
         write_depth(tmp_path, view, *np.zeros((2, view.height, view.width), np.float32))
