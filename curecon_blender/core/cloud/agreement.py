@@ -67,10 +67,10 @@ class Sums:
     through: np.ndarray
 
     def evidence(self) -> np.ndarray:
-        """(n,) float32: the spread times the square of the mean confidence, since sure views are right far more often
-        than unsure ones."""
+        """(n,) float32: the spread times the third power of the mean confidence, since sure views are right far more
+        often than unsure ones."""
         evidence: np.ndarray = self.weight / self.views
-        evidence **= 2
+        evidence **= 3
         evidence *= self.spread
         return evidence
 

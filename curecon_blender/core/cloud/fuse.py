@@ -43,7 +43,7 @@ from .precision import SparsePrecision
 
 _SPARSE = 16  # one pixel in so many, along rows and columns, tells whether two pictures have anything in common
 # By precision and recall on rendered flights (docs/design/fusion_and_surface.md).
-_EVIDENCE = 0.005  # of two sure photos whose rays are 4 degrees apart, of two of confidence 0.5 at 11 degrees
+_EVIDENCE = 0.005  # of two sure photos whose rays are 4 degrees apart, of two of confidence 0.5 at 16 degrees
 _THROUGH = 1 / 3  # of the confidence of those that agree: more must not look through a point
 # Peak memory, measured (benchmarks/scale.py): fixed; for each pixel of the largest depth map, besides what is kept of
 # it, while one is read and its sky is found; and for each pixel of a band.
