@@ -238,7 +238,7 @@ def test_what_cannot_be_flown_is_refused_with_the_reason(building: Building, wis
     ('{"type": "Polygon", "coordinates": [[[500000, 2700000], [500100, 2700000], [500100, 2700100]]]}', "longitude"),
     ('{"type": "Polygon", "coordinates": [[[0, 0], [1, 0], [1, 1]]]}', "across"),
     ('{"type": "Polygon", "coordinates": [[["a", 0], [1, 0], [1, 1]]]}', "cannot be read"),
-    ('{"type": "Polygon", "coordinates": [[[NaN, 0], [1, 0], [1, 1]]]}', "longitude"),
+    ('{"type": "Polygon", "coordinates": [[[NaN, 0], [1, 0], [1, 1]]]}', "cannot be read"),
     ('<!DOCTYPE a [<!ENTITY b "c">]><kml/>', "entities"),
     ("neither", "cannot be read"),
 ])

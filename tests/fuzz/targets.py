@@ -4,6 +4,15 @@
 
 from __future__ import annotations
 
+from .flight_targets import (
+    check_subtitles,
+    drawn_cases,
+    kml_cases,
+    make_outline,
+    make_subtitles,
+    outline_reader,
+    subtitles_cases,
+)
 from .geometry_targets import (
     check_cloud,
     check_depth,
@@ -68,5 +77,8 @@ TARGETS = {
     "messages": Target(make_message, message_cases, check_message),
     "model_binary": Target(make_model, model_cases("bin"), model_reader("bin")),
     "model_text": Target(make_model, model_cases("txt"), model_reader("txt")),
+    "outline_geojson": Target(make_outline, drawn_cases, outline_reader("geojson")),
+    "outline_kml": Target(make_outline, kml_cases, outline_reader("kml")),
+    "subtitles": Target(make_subtitles, subtitles_cases, check_subtitles),
     "weights": Target(make_weights, weights_cases, check_weights),
 }

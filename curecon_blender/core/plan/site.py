@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ import numpy as np
 
 from ..base.errors import PlanError
 from ..base.geodesy import geodetic_to_enu
-from ..base.reading import read_bytes
+from ..base.reading import parse_json, read_bytes
 from ..base.records import GeoPosition
 from . import obstacles
 from .outlines import area, hull
@@ -59,8 +58,8 @@ def of_file(path: Path, height: float, *, eaves: float | None = None) -> Buildin
     """
     try:
         text = read_bytes(path, MOST_FILE).decode("utf-8-sig")
-        rings = _geojson(json.loads(text)) if text.lstrip().startswith("{") else _kml(text)
-    except (OSError, ValueError, KeyError, TypeError, ElementTree.ParseError) as error:
+        rings = _geojson(parse_json(text)) if text.lstrip().startswith("{") else _kml(text)
+    except (OSError, ValueError, LookupError, TypeError, ElementTree.ParseError) as error:
         raise PlanError(f"{path} cannot be read as a polygon ({error}).",
                         remedy="Draw the outline in a map program and save it as GeoJSON or KML.", path=path) from error
     if not rings:
@@ -138,13 +137,14 @@ def _building(outline: np.ndarray, court: np.ndarray | None, height: float, eave
                     origin=origin, obstacles=obstacles.of_outline(outline, height, court))
 
 
-def _geojson(value: Any) -> list[np.ndarray]:
-    for candidate in value.get("features", [value]):
-        shape = candidate.get("geometry", candidate) or {}
-        if shape.get("type") == "Polygon":
-            return [_ring(ring) for ring in shape["coordinates"][:2]]
-        if shape.get("type") == "MultiPolygon":
-            return [_ring(ring) for ring in shape["coordinates"][0][:2]]
+def _geojson(value: dict[str, Any]) -> list[np.ndarray]:
+    """The outer ring of the first polygon and its first hole, if it has one."""
+    features = value.get("features", [value])
+    for candidate in features if isinstance(features, list) else []:
+        shape = candidate.get("geometry", candidate) if isinstance(candidate, dict) else None
+        if isinstance(shape, dict) and shape.get("type") in ("Polygon", "MultiPolygon"):
+            rings = shape["coordinates"] if shape["type"] == "Polygon" else shape["coordinates"][0]
+            return [_ring(ring) for ring in rings[:2]]
     return []
 
 
@@ -161,6 +161,8 @@ def _kml(text: str) -> list[np.ndarray]:
 
 def _ring(places: list[list[float]]) -> np.ndarray:
     ring = np.array([place[:2] for place in places], float)
+    if ring.ndim != 2 or ring.shape[1] != 2 or len(ring) < 3:
+        raise ValueError("a ring has three corners or more, of two numbers each")
     return ring[:-1] if len(ring) > 1 and (ring[0] == ring[-1]).all() else ring
 
 
