@@ -52,7 +52,7 @@ class TestFoldersThatCannotBeUsed:
         with pytest.raises(PhotoError, match=r"2 \.DNG, 1 \.MP4") as caught:
             check(tmp_path)
         assert "Export the raw photos" in caught.value.remedy
-        assert "Save still frames" in caught.value.remedy
+        assert "Frames from Video" in caught.value.remedy
 
     @pytest.mark.parametrize("count", [1, 2])
     def test_one_or_two_photos(self, folder: Path, count: int) -> None:

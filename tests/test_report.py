@@ -70,7 +70,7 @@ def test_the_report_tells_what_the_workspace_holds(
     assert 0.3 < part["integrity"]["seen_well"] <= 1
     assert part["correctness"]["metres"] and part["correctness"]["gps"]["count"] == len(photos)
     assert provenance["settings"]["quality"] and len(provenance["weights"]) == 64
-    assert all(provenance["settings"].values()) and "max_faces" not in provenance["settings"]  # what was not set
+    assert all(provenance["settings"].values()) and "views" not in provenance["settings"]  # what was not set
     survey, lens = part["survey"], part["correctness"]["lenses"][0]
     assert survey["cameras"][0]["photos"] == len(photos) and 20 < survey["above"] < 80
     assert survey["tied"]["observations"] > 2 * survey["tied"]["points"] > 0

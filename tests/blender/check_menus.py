@@ -60,8 +60,8 @@ def check_menus() -> None:
         assert draw in getattr(bpy.types, name).draw._draw_funcs, name
     found = " ".join(text for name, _ in operators.MENUS for text in offered(name).values()).lower()
     assert all(word in found for word in WORDS), found
-    assert {"curecon.export_surface", "curecon.export_cloud", "curecon.render_elevations"} == set(
-        offered("TOPBAR_MT_file_export"))
+    assert set(offered("TOPBAR_MT_file_export")) == {
+        "curecon.export_surface", "curecon.export_cloud", "curecon.export_deliverables", "curecon.render_elevations"}
     # Over an object of the user's own, the context menu is Blender's alone.
     bpy.context.view_layer.objects.active = bpy.data.objects["old_mill Surface"]
     assert "curecon.measure" in offered("VIEW3D_MT_object_context_menu")

@@ -82,12 +82,11 @@ def adjust_cameras(photo_set: PhotoSet, workspace: Path, reporter: Reporter) -> 
     """
     control = control_of(workspace, photo_set, reporter)
     photos = with_positions({photo.name: photo for photo in photo_set.photos}, control)
-    fixed = sum(photo.gps_sigmas is not None for photo in photos.values())
     located = sum(photo.gps is not None for photo in photos.values())
-    if 0 < fixed < located:
+    if unfixed := _unfixed(photos):
         reporter.warning(
-            f"Only {fixed} of {located} photos have an RTK fix; the positions of the others count as those of an "
-            "ordinary receiver."
+            f"Only {located - len(unfixed)} of {located} photos have an RTK fix; the positions of the others count as "
+            "those of an ordinary receiver."
         )
     folders = find_models(workspace / MAPPED)
     components: list[tuple[pycolmap.Reconstruction, dict[str, Any]]] = []
@@ -118,7 +117,7 @@ def _placed(
 ) -> tuple[Frame, Accuracy, Precision | None]:
     """Bring a mapped model into the site frame, in place, adjusted where that can be; tell what the user must know."""
     placement, adjusted = place_and_adjust(model, photos, reporter, control)
-    _warn_of_gps(placement, model.num_reg_images(), index, reporter)
+    _warn_of_gps(placement, model.num_reg_images(), _unfixed(photos), index, reporter)
     accuracy = _judged(model, photos, placement.frame, adjusted, control)
     scale_sigma = float(adjusted.precision.datum_sigmas[6]) if adjusted else 0.0
     doubt = bending.doubt(accuracy.domes, accuracy.focal_sigma, scale_sigma)
@@ -318,7 +317,14 @@ def _restated(bundle: Bundle, mapped: Bundle, lens_sigmas: np.ndarray) -> Bundle
                    lens_sigmas=lens_sigmas)
 
 
-def _warn_of_gps(placement: Placement, photos: int, index: int, reporter: Reporter) -> None:
+def _unfixed(photos: Mapping[str, Photo]) -> set[str]:
+    """Photos without an RTK fix, in a flight where others have one."""
+    without = {name for name, photo in photos.items() if photo.gps is not None and photo.gps_sigmas is None}
+    return without if any(photo.gps_sigmas is not None for photo in photos.values()) else set()
+
+
+def _warn_of_gps(placement: Placement, photos: int, unfixed: set[str], index: int, reporter: Reporter) -> None:
+    """Tell of photos far from their GPS; of those that lost their RTK fix the user knows already."""
     part = "" if index == 0 else f" of part {index + 1}"
     if placement.frame.scale == "unknown":
         reporter.warning(f"Placement{part}: {placement.frame.note}")
@@ -332,7 +338,7 @@ def _warn_of_gps(placement: Placement, photos: int, index: int, reporter: Report
         )
     distances = {
         name: distance for name, distance in sorted(placement.gps_residuals.items(), key=lambda x: -x[1])
-        if distance > CONTRADICTS[0] and distance > CONTRADICTS[1] * residual
+        if distance > CONTRADICTS[0] and distance > CONTRADICTS[1] * residual and name not in unfixed
     }
     for way, sign in (("near to", 1), ("far from", -1)):
         along = [name for name, distance in distances.items() if sign * placement.along[name] > ALONG * distance]
