@@ -285,7 +285,7 @@ def test_photos_off_along_their_line_of_sight_have_a_wrong_camera(nearer: float,
     assert stray is not None
     photos["20.jpg"] = replace(photos["20.jpg"], gps=replace(stray, latitude=stray.latitude + 0.002))
     reporter = Reporter()
-    _warn_of_gps(place(make_model(found, rotations), photos), len(photos), 0, reporter)
+    _warn_of_gps(place(make_model(found, rotations), photos), len(photos), set(), 0, reporter)
     camera, gps = reporter.warnings
     assert words in camera and "by 20 m" in camera and "focal length" in camera
     assert all(f"{i + 1:02d}.jpg" in camera and f"{i + 1:02d}.jpg" not in gps for i in zoomed)
