@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
 import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
@@ -14,7 +13,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import copclib
-import ezdxf
 import laspy
 import numpy as np
 import pye57
@@ -22,26 +20,20 @@ import pytest
 import rasterio
 import tifffile
 from conftest import MakeOnce, Run, curecon
-from PIL import Image
+from little_site import CREDIT, FRAME, SLOPE, drawn, little_site, read
 from rasterio.warp import transform
 from test_extension import blender, run_script  # noqa: F401
 
 from curecon_blender.core.base.geodesy import enu_to_geodetic, geodetic_to_utm
 from curecon_blender.core.base.messages import Reporter
 from curecon_blender.core.base.options import FORMATS
-from curecon_blender.core.base.records import ELLIPSOID, SEA_LEVEL, UNKNOWN, Frame, GeoPosition
-from curecon_blender.core.cloud.ply import Cloud, CloudWriter, read_cloud
+from curecon_blender.core.base.records import ELLIPSOID, SEA_LEVEL, UNKNOWN, Frame
+from curecon_blender.core.cloud.ply import read_cloud
 from curecon_blender.core.deliver.geotiff import NO_HEIGHT, Raster, write_cog
-from curecon_blender.core.deliver.placement import DeliverError, Placement
+from curecon_blender.core.deliver.placement import Placement
 from curecon_blender.core.deliver.systems import geokeys
-from curecon_blender.core.deliver.write import Choices, Site, write
-from curecon_blender.core.surface.mesh import Mesh, write_mesh
+from curecon_blender.core.deliver.write import Choices, write
 from curecon_blender.core.views import record as views_record
-
-FRAME = Frame(scale="metres", up="gps", north=True, origin=GeoPosition(
-    latitude=24.65, longitude=117.05, altitude=520.0, altitude_datum=SEA_LEVEL))
-SLOPE = 0.1  # of the little site's ground, upwards to the east
-CREDIT = 'A "Surveyor" <a@b> & Søns / 福建\\..\n'
 
 
 def test_the_button_in_blender(blender: Path, tmp_path: Path) -> None:  # noqa: F811
@@ -153,53 +145,6 @@ def test_a_cog_has_its_directories_first_and_its_overviews_before_the_full_pictu
     assert [*tmp_path.iterdir()] == [path]
 
 
-# ---- a little site whose measures are known
-
-def little_site(folder: Path, *, frame: str = "local", choices: Choices | None = None, **changes: object) -> Site:
-    """Ground of 8 x 6 m that rises to the east, red in the north west and blue elsewhere, with a hole that was filled,
-    and a green wall 3 m high that faces south at y = -2."""
-    x, y = np.meshgrid(np.linspace(-4, 4, 9), np.linspace(-3, 3, 7))
-    ground = np.column_stack([x.ravel(), y.ravel(), SLOPE * x.ravel()])
-    cell = np.arange(9 * 7).reshape(7, 9)
-    a, b, c, d = (part.ravel() for part in (cell[:-1, :-1], cell[:-1, 1:], cell[1:, 1:], cell[1:, :-1]))
-    faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
-    wall = np.array([(-2, -2, 0), (2, -2, 0), (2, -2, 3), (-2, -2, 3)], float)
-    vertices = np.concatenate([ground, wall]).astype(np.float32)
-    faces = np.concatenate([faces, np.array([(0, 1, 2), (0, 2, 3)]) + len(ground)]).astype(np.int32)
-    middle = vertices[faces].mean(axis=1)
-    corner = np.array([[0.125, 0.875], [0.13, 0.875], [0.125, 0.87]])  # three places within one colour of the page
-    shift = np.zeros((len(faces), 1, 2))
-    shift[(middle[:, 0] > 0) | (middle[:, 1] < 0), 0] = [0.5, 0]
-    shift[-2:, 0] = [0, -0.5]
-    mesh = Mesh(
-        vertices=vertices, faces=faces, colours=np.full((len(vertices), 3), 90, np.uint8),
-        distance=np.zeros(len(vertices), np.float32), views=np.full(len(vertices), 5, np.uint8),
-        filled=(np.abs(middle[:, :2] - [3, 2]).max(axis=1) < 1) & (middle[:, 2] < 1),
-    ).with_texture((corner + shift).astype(np.float32), np.zeros(len(faces), np.int32), ("texture_0.png",))
-    page = np.zeros((64, 64, 3), np.uint8)
-    page[:32, :32], page[:32, 32:], page[32:, :32] = (200, 0, 0), (0, 0, 200), (0, 200, 0)
-    (folder / "w").mkdir()
-    (folder / "out").mkdir()
-    Image.fromarray(page).save(folder / "w" / "texture_0.png")
-    write_mesh(folder / "w" / "mesh.ply", mesh)
-    points = np.random.default_rng(0).uniform([-4, -3, 0], [4, 3, 0], (4000, 3)).astype(np.float32)
-    points[:, 2] = SLOPE * points[:, 0]
-    with CloudWriter(folder / "w" / "cloud.ply") as out:
-        out.write(Cloud(points, np.full((4000, 3), 90, np.uint8), np.tile(np.float32([0, 0, 1]), (4000, 1)),
-                        np.ones(4000, np.float32), np.full(4000, 3, np.uint8)))
-    site = Site(cloud=folder / "w" / "cloud.ply", mesh=folder / "w" / "mesh.ply", folder=folder / "out",
-                placement=Placement(kind=frame, frame=FRAME, matrix=np.eye(4)), turn_of=lambda mesh, places: 0.0,
-                choices=choices or Choices())
-    return replace(site, **changes)  # type: ignore[arg-type]
-
-
-def read(path: Path) -> tuple[np.ndarray, Callable[[float, float], tuple[int, int]]]:
-    """A raster's bands (H,W) or (H,W,4), and its pixel at a place."""
-    with rasterio.open(path) as file:
-        bands = file.read()
-        return (bands[0] if len(bands) == 1 else np.moveaxis(bands, 0, 2)), file.index
-
-
 def test_heights_and_colours_of_a_site_that_is_known(tmp_path: Path) -> None:
     site = little_site(tmp_path, choices=Choices(pixel=0.1))
     write(site, "dsm", Reporter())
@@ -249,15 +194,6 @@ def test_contours_and_cuts_are_where_the_surface_is(tmp_path: Path) -> None:
     assert across[:, 1].max() == pytest.approx(3)  # the wall
     svg = ET.parse(tmp_path / "out" / "section_2.svg").getroot()
     assert "1:20\n" in next(svg.iter("{http://www.w3.org/2000/svg}desc")).text  # type: ignore[operator]
-
-
-def drawn(path: Path) -> list[tuple[str, np.ndarray]]:
-    """A DXF's polylines by their layers, as ezdxf reads them."""
-    file = ezdxf.readfile(path)
-    audit = file.audit()
-    assert not audit.errors, audit.errors
-    return [(line.dxf.layer, np.array([vertex.dxf.location for vertex in line.vertices]))
-            for line in file.modelspace().query("POLYLINE")]
 
 
 def test_the_adjusted_frame_is_what_is_written(tmp_path: Path) -> None:
@@ -336,100 +272,6 @@ def test_no_byte_of_the_local_frame_tells_where_the_site_is(
     assert np.abs(las.header.offsets).max() < 1000 and not np.asarray(las.gps_time).any()
     told = tellings(delivered("utm")[0], component.frame, [])  # the search finds what is there to be found
     assert {"cloud.laz: UTM", "surface_model.tif: UTM", "contours.dxf: UTM"} <= set(told)
-
-
-# ---- what cannot be made, and bad input
-
-def test_a_workspace_without_a_mesh_gives_what_it_can_and_says_so(finished: tuple[Path, Run], tmp_path: Path) -> None:
-    shutil.copytree(finished[0], tmp_path / "w")
-    run = curecon("export", tmp_path / "w", "--format", "contours", "dsm", "laz", "orthomosaic")
-    assert run.code == 0, run.said
-    assert [one["format"] for one in run.summary["left_out"]] == ["contours"]
-    assert "contours is left out" in run.said and "Build Mesh first" in run.said
-    folder = tmp_path / "w" / "deliverables" / "local"
-    cloud = read_cloud(tmp_path / "w" / "cloud.ply")
-    heights, at = read(folder / "surface_model.tif")
-    found = np.array([heights[at(x, y)] for x, y in cloud.points[::50, :2]])
-    there = found != NO_HEIGHT
-    assert there.mean() > 0.95 and np.median(np.abs(found - cloud.points[::50, 2])[there]) < 0.1
-    assert "there is no mesh" in (folder / "deliverables.txt").read_text()
-    alone = curecon("export", tmp_path / "w", "--format", "sections")
-    assert alone.code == 13 and "Build Mesh first" in alone.said
-
-
-def test_an_unknown_scale_is_no_place_on_earth(tmp_path: Path) -> None:
-    frame = replace(FRAME, scale="unknown")
-    with pytest.raises(DeliverError, match="scale is unknown"):
-        Placement(kind="utm", frame=frame, matrix=np.eye(4))
-    site = little_site(tmp_path, placement=Placement(kind="local", frame=frame, matrix=np.eye(4) * 1e-3))
-    for name in ("laz", "dsm", "contours"):
-        write(site, name, Reporter())
-    with rasterio.open(tmp_path / "out" / "surface_model.tif") as file:
-        assert "do not measure" in file.tags()["TIFFTAG_IMAGEDESCRIPTION"] and 10 < file.width < 2000
-    las = laspy.read(tmp_path / "out" / "cloud.laz")
-    assert np.ptp(las.x) == pytest.approx(8e-3, rel=0.01)
-
-
-def test_a_mesh_of_two_faces_and_names_full_of_traps(tmp_path: Path) -> None:
-    vertices = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 1), (0, 1, 1)], np.float32)
-    site = little_site(tmp_path, choices=Choices(credit=CREDIT, licence="CC-BY <4.0> 'x' \"y\" --> ]]>"))
-    write_mesh(tmp_path / "w" / "mesh.ply", Mesh(
-        vertices=vertices, faces=np.array([(0, 1, 2), (0, 2, 3)], np.int32), colours=np.full((4, 3), 90, np.uint8),
-        distance=np.zeros(4, np.float32), views=np.ones(4, np.uint8), filled=np.zeros(2, bool)))
-    for name in FORMATS:
-        assert write(site, name, Reporter())
-    for path in (tmp_path / "out").glob("*.dxf"):
-        drawn(path)
-    for path in (tmp_path / "out").glob("*.svg"):
-        assert "福建" in ET.parse(path).getroot()[0].text  # type: ignore[operator]
-    assert {path.parent for path in tmp_path.rglob("*.svg")} == {tmp_path / "out"}
-
-
-def test_a_missing_page_costs_the_pictures_alone(textured: tuple[Path, Run], tmp_path: Path) -> None:
-    shutil.copytree(textured[0], tmp_path / "w")
-    for page in (tmp_path / "w" / "textured").glob("texture_*"):
-        page.unlink()
-    run = curecon("export", tmp_path / "w", "--format", "orthomosaic", "laz")
-    assert run.code == 0 and "Run Texture again" in run.said
-    assert sorted(path.name for path in (tmp_path / "w" / "deliverables" / "local").iterdir()) == [
-        "cloud.laz", "deliverables.txt"]
-
-
-def test_nobody_elses_files_are_touched_and_frames_are_not_mixed(textured: tuple[Path, Run], tmp_path: Path) -> None:
-    shutil.copytree(textured[0], tmp_path / "w")
-    folder = tmp_path / "somebody's \"work\""
-    folder.mkdir()
-    (folder / "cloud.laz").write_text("precious")
-    run = curecon("export", tmp_path / "w", "--format", "laz", "--to", folder)
-    assert run.code == 5 and "not empty" in run.said and (folder / "cloud.laz").read_text() == "precious"
-    run = curecon("export", tmp_path / "w", "--format", "laz", "--to", folder / "cloud.laz")
-    assert run.code == 5 and "a file is in the way" in run.said
-    other = tmp_path / "a \"quoted\" / place"
-    for frame, code in (("utm", 0), ("utm", 0), ("local", 5)):
-        run = curecon("export", tmp_path / "w", "--format", "laz", "--to", other, "--frame", frame)
-        assert run.code == code, run.said
-    assert "another frame (utm)" in run.said
-
-
-def test_a_disk_that_fills_half_way_leaves_no_half_of_a_file(tmp_path: Path) -> None:
-    disk = tmp_path / "out"
-    site = little_site(tmp_path, choices=Choices(pixel=0.002))
-    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=16k", "tmpfs", str(disk)], check=False,
-                      capture_output=True).returncode:
-        pytest.skip("mounting a small disk needs root")
-    try:
-        for name in ("laz", "copc", "e57", "orthomosaic"):
-            with pytest.raises(Exception, match="disk"):
-                write(site, name, Reporter())
-            assert not [*disk.iterdir()], name
-    finally:
-        subprocess.run(["umount", str(disk)], check=True)
-
-
-def test_pixels_without_end_are_refused_with_a_size_that_is_not(tmp_path: Path) -> None:
-    with pytest.raises(DeliverError, match="100000 a side are the most") as refused:
-        write(little_site(tmp_path, choices=Choices(pixel=1e-6)), "dsm", Reporter())
-    assert "0.0001 or more" in refused.value.remedy
 
 
 def test_the_folder_says_what_is_in_it(delivered: Callable[[str], tuple[Path, Run]]) -> None:

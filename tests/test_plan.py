@@ -24,6 +24,7 @@ from curecon_blender.core.plan import coverage, site
 from curecon_blender.core.plan.drones import DRONES
 from curecon_blender.core.plan.mission import FORMS, plan
 from curecon_blender.core.plan.outlines import area
+from curecon_blender.core.plan.page import page
 from curecon_blender.core.plan.records import Building, Plan
 from curecon_blender.core.plan.wishes import KINDS, Wishes
 from evaluation.cloud_metrics import read_points
@@ -189,6 +190,14 @@ def test_mission_files_hold_the_plan(tmp_path: Path) -> None:
     ElementTree.parse(tmp_path / "out" / "plan.gpx")
     page = (tmp_path / "out" / "plan.html").read_text()
     assert "<b>'Tulou'" not in page and "&lt;b&gt;" in page
+
+
+def test_a_part_of_one_photo_stands_on_the_page_too() -> None:
+    made = planned("orbit")
+    leg = made.legs[0]
+    one = replace(leg, name="One look", places=leg.places[:1], headings=leg.headings[:1], pitches=leg.pitches[:1])
+    made = replace(made, legs=(leg, one))
+    assert "One look" in page(made, coverage.of_plan(made, coverage.parts_of(made.building)), "House")
 
 
 def test_without_a_position_there_is_a_page_for_flying_by_hand(tmp_path: Path) -> None:

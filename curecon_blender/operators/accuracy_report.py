@@ -50,13 +50,7 @@ page, and open the page"""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if not running.idle(cls):
-            return False
-        result = context.scene.curecon.result
-        if not (result.workspace and result.points):
-            cls.poll_message_set("Reconstruct photos or import a workspace with a cloud first")
-            return False
-        return True
+        return running.idle(cls) and paths.cloud_finished(cls, context)
 
     def workspace(self, context: bpy.types.Context) -> Path | None:
         return paths.absolute(context.scene.curecon.result.workspace)

@@ -77,13 +77,7 @@ What no photo measured stays empty"""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if not running.idle(cls):
-            return False
-        result = context.scene.curecon.result
-        if not (result.workspace and result.points):
-            cls.poll_message_set("Reconstruct photos or import a workspace with a cloud first")
-            return False
-        return True
+        return running.idle(cls) and paths.cloud_finished(cls, context)
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, properties = self.layout, context.scene.curecon

@@ -23,6 +23,15 @@ def photos_chosen(operator: type[bpy.types.Operator], context: bpy.types.Context
     return True
 
 
+def cloud_finished(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """For an operator's poll: whether the scene's workspace has a cloud; where it has none, the button says so."""
+    result = context.scene.curecon.result
+    if not (result.workspace and result.points):
+        operator.poll_message_set("Reconstruct photos or import a workspace with a cloud first")
+        return False
+    return True
+
+
 def site_stands(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
     """For an operator's poll: whether a cloud or a surface is in the scene; where none is, the button says so."""
     if site.subject(context.scene) is None:

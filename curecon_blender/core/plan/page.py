@@ -62,10 +62,11 @@ permission.</li>
 def _leg_row(plan: Plan, n: int, leg: Leg) -> str:
     heights = leg.places[:, 2] - plan.wishes.takeoff[2]
     steps = np.linalg.norm(np.diff(leg.places, axis=0), axis=1)
+    apart = f"{np.median(steps):.1f}" if len(steps) else ""
     return (f'<tr><td><i style="background:{COLOURS[n % len(COLOURS)]}"></i>{escape(leg.name)}</td>'
             f"<td class=n>{len(leg)}</td><td class=n>{_span(heights, ' m')}</td>"
             f"<td class=n>{_camera(leg.pitches)}</td><td class=n>{leg.distance:.0f} m</td>"
-            f"<td class=n>{np.median(steps):.1f}</td></tr>" if len(leg) > 1 else "")
+            f"<td class=n>{apart}</td></tr>")
 
 
 def _camera(pitches: np.ndarray) -> str:
