@@ -24,6 +24,7 @@ _GPS_LIMIT, _BAROMETER_LIMIT, _LIMIT_SHARE = 0.1, 0.3, 0.01
 _DRIFT = 2.0  # by which errors that change slowly from photo to photo make a dome likelier than their scatter says
 _SURE = 3.0  # sigmas
 _SINGULAR = 1e6  # condition from where on points tell no dome
+_LIKELY = 2.0  # sigmas that an error keeps within in 19 of 20 cases: what a person takes "up to" for
 _TOLD = 3.0  # stated sigmas, at least pixels on the ground, up to which points and positions may bend what is level
 DOUBTFUL_SHARE = 0.01  # of heights; a focal length that is less sure makes them doubtful
 REMEDY = "Photos that look askew from all sides, a second flight height, or control points settle it."
@@ -120,8 +121,8 @@ def doubt(found: Sequence[Dome], focal_sigma: float | None, scale_sigma: float =
                 f"{bent.source}.")
     share = math.hypot(focal_sigma or 0.0, scale_sigma)
     if focal_sigma is not None and focal_sigma > DOUBTFUL_SHARE / 2 and share > DOUBTFUL_SHARE:
-        return (f"Heights are doubtful: those above the ground may be off by {100 * share:.0f} %, since these "
-                "photos do not tell the focal length from the height.")
+        return (f"Heights are doubtful: those above the ground may be off by up to {100 * _LIKELY * share:.0f} %, since "
+                "these photos do not tell the focal length from the height.")
     return ""
 
 
