@@ -35,7 +35,7 @@ demo: .venv/.ready
 
 test: .venv/.ready $(if $(PYTHON313),.venv-blender52/.ready)
 	$(VENV) -m ruff check .
-	$(VENV) -m mypy curecon_blender/core curecon_blender/job.py training evaluation
+	$(VENV) -m mypy curecon_blender/core curecon_blender/job.py training evaluation survey
 	$(VENV) -m pytest -n 2 --dist worksteal --durations=10
 
 zip: .venv/.ready
