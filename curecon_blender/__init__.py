@@ -10,7 +10,7 @@ def register() -> None:
     import bpy
 
     from . import languages, operators, panels, properties
-    from .scene import control_overlay, history, overlay, viewport
+    from .scene import control_overlay, history, overlay, stations_overlay, viewport
 
     languages.start()
     for cls in (*properties.CLASSES, *operators.CLASSES, *panels.CLASSES):
@@ -20,6 +20,7 @@ def register() -> None:
     viewport.start()
     overlay.drawing.start()
     control_overlay.drawing.start()
+    stations_overlay.drawing.start()
     history.start()
 
 
@@ -28,12 +29,13 @@ def unregister() -> None:
 
     from . import languages, operators, panels, properties, thumbnails
     from .operators import running
-    from .scene import control_overlay, history, loupe, overlay, viewport
+    from .scene import control_overlay, history, loupe, overlay, stations_overlay, viewport
 
     running.close()
     thumbnails.clear()
     history.stop()
     loupe.forget()
+    stations_overlay.drawing.stop()
     control_overlay.drawing.stop()
     overlay.drawing.stop()
     viewport.stop()

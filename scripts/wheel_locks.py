@@ -7,7 +7,8 @@
     python scripts/wheel_locks.py table                      the locks as a table
 
 `--platform linux-x64 --python 3.11` limits each to some of the locks. pip downloads; its own settings say from where.
-`lock` keeps what a lock names already and still fits: delete the file to choose anew.
+`lock` keeps what a lock names already and still fits: delete the file to choose anew. The locks for NVIDIA cards,
+of which no zip is made, are meant only where `--platform linux-x64-cuda` names them.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ import sys
 import tempfile
 import tomllib
 import zipfile
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
@@ -44,6 +46,11 @@ PLATFORMS = {
     "windows-x64": ["win_amd64"],
     "macos-arm64": ["macosx_14_0_arm64"],
 }
+# For Get Libraries alone, where there is an NVIDIA card; no zip brings these.
+CARD = "linux-x64-cuda"
+PLATFORMS[CARD] = [*PLATFORMS["linux-x64"], "manylinux_2_25_x86_64", "manylinux_2_18_x86_64", "manylinux_2_12_x86_64",
+                   "manylinux_2_5_x86_64", "manylinux1_x86_64"]
+ZIPPED = tuple(name for name in PLATFORMS if name != CARD)
 MARKERS = {
     "linux-x64": {"sys_platform": "linux", "platform_system": "Linux", "platform_machine": "x86_64",
                   "os_name": "posix"},
@@ -52,13 +59,14 @@ MARKERS = {
     "macos-arm64": {"sys_platform": "darwin", "platform_system": "Darwin", "platform_machine": "arm64",
                     "os_name": "posix"},
 }
+MARKERS[CARD] = MARKERS["linux-x64"]
 # A user's own Python brings them: requirements-dask.txt; the grids of countries; requirements-e57.txt.
 OPTIONAL = {"distributed", "pyproj", "pye57"}
 # Blender brings its own, in its own process too: a wheel of it would come first on Blender's path and replace it.
 BLENDER_BRINGS = ("numpy",)
 # PyPI's torch for Linux is for NVIDIA cards, with three gigabytes of CUDA libraries. PyTorch's own index has the same
 # version for processors; pip must be shown it (PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu).
-LOCAL_VERSIONS = {("linux-x64", "torch"): "+cpu"}
+LOCAL_VERSIONS = {("linux-x64", "torch"): "=={}+cpu", (CARD, "torch"): "==={}"}
 # llvmlite's wheels for Windows and macOS leave out what those for Linux say.
 UNSAID_LICENSES = {"llvmlite": "BSD-2-Clause AND Apache-2.0 WITH LLVM-exception"}
 # May be shipped with a program under GPL-3.0-or-later.
@@ -95,12 +103,12 @@ class Target:
     def lock(self) -> Path:
         return LOCKS / f"{self.platform}-{self.tag}.toml"
 
-    def holds(self, requirement: Requirement) -> bool:
-        """Whether the requirement's marker is true there; without extras."""
+    def holds(self, requirement: Requirement, extras: Iterable[str] = ()) -> bool:
+        """Whether the requirement's marker is true there, with or without one of the extras."""
         environment = {**MARKERS[self.platform], "python_version": self.python, "implementation_name": "cpython",
-                       "python_full_version": f"{self.python}.0", "platform_python_implementation": "CPython",
-                       "extra": ""}
-        return requirement.marker is None or requirement.marker.evaluate(environment)
+                       "python_full_version": f"{self.python}.0", "platform_python_implementation": "CPython"}
+        return requirement.marker is None or any(
+            requirement.marker.evaluate({**environment, "extra": extra}) for extra in ("", *extras))
 
     def requirements(self) -> list[Requirement]:
         """requirements.txt, for this target."""
@@ -124,8 +132,8 @@ class Target:
 TARGETS = tuple(Target(*choice) for choice in product(PLATFORMS, PYTHONS))
 
 
-def read_wheel(path: Path, target: Target) -> Wheel:
-    """The record of a wheel's file."""
+def read_wheel(path: Path, target: Target, extras: Iterable[str] = ()) -> Wheel:
+    """The record of a wheel's file, with what its extras need."""
     name, version, *_ = parse_wheel_filename(path.name)
     with zipfile.ZipFile(path) as archive:
         names = archive.namelist()
@@ -137,8 +145,7 @@ def read_wheel(path: Path, target: Target) -> Wheel:
     return Wheel(
         name=name, version=str(version), file=path.name, sha256=digest, size=path.stat().st_size,
         license=_license(said) or UNSAID_LICENSES.get(name, ""), modules=_modules(names),
-        requires=tuple(sorted(f"{canonicalize_name(found.name)}{found.specifier}" for found in requires
-                              if target.holds(found))),
+        requires=tuple(sorted(_line(found) for found in requires if target.holds(found, extras))),
     )
 
 
@@ -150,6 +157,11 @@ def _license(said: email.message.Message) -> str:
         return first
     named = [line.rpartition(" :: ")[2] for line in said.get_all("Classifier", []) if line.startswith("License ::")]
     return ", ".join(named)
+
+
+def _line(requirement: Requirement) -> str:
+    extras = f"[{','.join(sorted(requirement.extras))}]" if requirement.extras else ""
+    return f"{canonicalize_name(requirement.name)}{extras}{requirement.specifier}"
 
 
 def _modules(names: list[str]) -> tuple[str, ...]:
@@ -192,7 +204,7 @@ def check_lock(target: Target) -> list[str]:
             wrong.append(f"{wheel.name} would replace Blender's own")
         if wheel.name not in needed:
             wrong.append(f"{wheel.name} is needed by nothing")
-        if not LICENSES.search(wheel.license):
+        if target.platform in ZIPPED and not LICENSES.search(wheel.license):
             wrong.append(f"{wheel.name}: licence '{wheel.license}' is not known to go with the GPL")
         if not re.fullmatch(r"[0-9a-f]{64}", wheel.sha256) or wheel.size <= 0:
             wrong.append(f"{wheel.name} has no hash or size")
@@ -245,8 +257,17 @@ def lock(target: Target, cache: Path) -> None:
     write(target, sorted(chosen.values(), key=lambda wheel: wheel.name))
 
 
-def _local(requirement: Requirement, target: Target) -> str:
-    return f"{requirement.name}{requirement.specifier}" + LOCAL_VERSIONS.get((target.platform, requirement.name), "")
+def _local(requirement: Requirement, target: Target) -> Requirement:
+    """The requirement, for the build that the target takes."""
+    form = LOCAL_VERSIONS.get((target.platform, requirement.name))
+    if form is None:
+        return requirement
+    return Requirement(requirement.name + form.format(next(iter(requirement.specifier)).version))
+
+
+def _extras(requirements: list[Requirement]) -> dict[str, set[str]]:
+    """The extras that are asked of each library."""
+    return {canonicalize_name(found.name): found.extras for found in requirements if found.extras}
 
 
 def write(target: Target, wheels: list[Wheel]) -> None:
@@ -263,7 +284,7 @@ def write(target: Target, wheels: list[Wheel]) -> None:
     target.lock.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _download(requirements: list[str], target: Target, cache: Path) -> list[Wheel]:
+def _download(requirements: list[Requirement], target: Target, cache: Path) -> list[Wheel]:
     """Let pip fetch these, without what they need in turn: pip would read their markers for this computer."""
     if not requirements:
         return []
@@ -272,12 +293,14 @@ def _download(requirements: list[str], target: Target, cache: Path) -> list[Whee
     with tempfile.TemporaryDirectory(dir=cache) as folder:
         command = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--only-binary=:all:",
                    "--dest", folder, "--implementation", "cp", "--python-version", target.python, *platforms]
-        if subprocess.run([*command, *requirements], check=False).returncode:
-            raise SystemExit(f"pip cannot bring {', '.join(requirements)} for {target.platform} and Python "
+        named = [_line(requirement) for requirement in requirements]
+        if subprocess.run([*command, *named], check=False).returncode:
+            raise SystemExit(f"pip cannot bring {', '.join(named)} for {target.platform} and Python "
                              f"{target.python}. wheels/README.md says what it needs.")
-        found = []
+        found, extras = [], _extras(requirements)
         for path in sorted(Path(folder).iterdir()):
-            found.append(read_wheel(path, target))
+            name = canonicalize_name(path.name.partition("-")[0])
+            found.append(read_wheel(path, target, extras.get(name, ())))
             os.replace(path, cache / path.name)
     return found
 
@@ -285,10 +308,12 @@ def _download(requirements: list[str], target: Target, cache: Path) -> list[Whee
 def fetch(target: Target, cache: Path) -> None:
     """Bring what the lock names into the cache, and hold every file against the lock."""
     wheels = target.wheels()
-    missing = [f"{wheel.name}=={wheel.version}" for wheel in wheels if not (cache / wheel.file).is_file()]
+    missing = [Requirement(f"{wheel.name}==={wheel.version}") for wheel in wheels
+               if not (cache / wheel.file).is_file()]
     _download(missing, target, cache)
-    wrong = [wheel.file for wheel in wheels
-             if not (cache / wheel.file).is_file() or read_wheel(cache / wheel.file, target) != wheel]
+    extras = _extras([Requirement(line) for wheel in wheels for line in wheel.requires])
+    wrong = [wheel.file for wheel in wheels if not (cache / wheel.file).is_file()
+             or read_wheel(cache / wheel.file, target, extras.get(wheel.name, ())) != wheel]
     if wrong:
         raise SystemExit(f"{target.lock.name}: not as locked: {', '.join(wrong)}")
 
@@ -298,7 +323,7 @@ def chosen_targets(options: argparse.Namespace) -> list[Target]:
 
 
 def add_target_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--platform", nargs="+", choices=PLATFORMS, default=list(PLATFORMS))
+    parser.add_argument("--platform", nargs="+", choices=PLATFORMS, default=list(ZIPPED))
     parser.add_argument("--python", nargs="+", choices=PYTHONS, default=list(PYTHONS))
     parser.add_argument("--cache", type=Path, default=CACHE, help="folder of the wheels (default: dist/wheels)")
 

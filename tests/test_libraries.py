@@ -20,9 +20,12 @@ from test_extension import blender, run_script, write_wheel  # noqa: F401
 
 from curecon_blender.core.base.errors import Cancelled, SetupError
 from curecon_blender.core.base.messages import Message, Progress, Reporter
-from curecon_blender.core.run import libraries
+from curecon_blender.core.run import libraries, nvidia
 
-pytestmark = pytest.mark.skipif(importlib.util.find_spec("pip") is None, reason="this Python has no pip")
+pytestmark = [
+    pytest.mark.skipif(importlib.util.find_spec("pip") is None, reason="this Python has no pip"),
+    pytest.mark.usefixtures("no_card"),
+]
 NAMES = ("curecon_first", "curecon_second")
 
 
@@ -91,8 +94,35 @@ def locks(tmp_path: Path, index: Index) -> Path:
     return folder
 
 
-def make(folder: Path, locks: Path, index: Index, reporter: Reporter | None = None) -> None:
-    libraries.make(folder, locks, (index.address,), reporter or Reporter())
+@pytest.fixture
+def no_card(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(nvidia, "QUERY", [str(tmp_path / "no such program")])
+
+
+def make(folder: Path, locks: Path, index: Index, reporter: Reporter | None = None, **choice: bool) -> None:
+    libraries.make(folder, locks, (index.address,), reporter or Reporter(), **choice)
+
+
+def driver_says(monkeypatch: pytest.MonkeyPatch, *lines: str) -> None:
+    """Stands in for NVIDIA's own program: prints these lines."""
+    monkeypatch.setattr(nvidia, "QUERY", [sys.executable, "-c", f"print({chr(10).join(lines)!r})"])
+
+
+@pytest.fixture
+def card_lock(locks: Path, index: Index) -> Path:
+    """A lock for NVIDIA cards, whose first library is another build of the same version, in the same index."""
+    (lock,) = locks.iterdir()
+    wheel = write_wheel(index.folder / "curecon-first" / "curecon_first-1.0+card-py3-none-any.whl", {
+        "curecon_first/__init__.py": "VALUE = 70\n"})
+    text = lock.read_text(encoding="utf-8")
+    old = libraries.wheels_of(lock)[0]
+    digest = hashlib.sha256(wheel.read_bytes()).hexdigest()
+    for before, after in (('"1.0"', '"1.0+card"'), (old.file, wheel.name), (old.sha256, digest),
+                          (f"= {old.size}", f"= {wheel.stat().st_size}")):
+        text = text.replace(before, after, 1)
+    path = lock.with_name(lock.name.replace("-py", f"{libraries.CARD}-py"))
+    path.write_text(text, encoding="utf-8")
+    return path
 
 
 def test_what_the_lock_names_can_be_imported_and_is_fetched_once(tmp_path: Path, locks: Path, index: Index) -> None:
@@ -111,6 +141,39 @@ def test_what_the_lock_names_can_be_imported_and_is_fetched_once(tmp_path: Path,
     assert len(index.asked) == fetched
 
 
+@pytest.mark.parametrize(("said", "processor", "value"), [
+    ((), False, 7), (("NVIDIA H200, 580.82.07, 9.0",), False, 70), (("NVIDIA H200, 580.82.07, 9.0",), True, 7),
+    (("GeForce RTX 3060, 551.61, 8.6",), False, 7), (("GeForce GTX 1080, 580.65, 6.1",), False, 7),
+    (("GeForce GTX 1080, 580.65, 6.1", "RTX A2000, Laptop, 581.1, 8.6"), False, 70),
+    (("Tesla, [N/A], [N/A]", "what is this"), False, 7),
+])
+def test_a_card_that_they_can_use_gets_its_own_libraries(
+    tmp_path: Path, locks: Path, index: Index, card_lock: Path, monkeypatch: pytest.MonkeyPatch,
+    said: tuple[str, ...], processor: bool, value: int,
+) -> None:
+    driver_says(monkeypatch, *said)
+    make(tmp_path / "made", locks, index, processor=processor)
+    assert f"VALUE = {value}\n" == (tmp_path / "made" / "curecon_first" / "__init__.py").read_text()
+    assert libraries.is_made(tmp_path / "made", card_lock) == (value == 70)
+
+
+def test_a_build_for_the_card_that_is_not_the_locked_one_is_refused(
+    tmp_path: Path, locks: Path, index: Index, card_lock: Path, monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    driver_says(monkeypatch, "NVIDIA H200, 580.82.07, 9.0")
+    write_wheel(index.folder / "curecon-first" / "curecon_first-1.0+card-py3-none-any.whl", {
+        "curecon_first/__init__.py": "VALUE = 'evil'\n"})
+    with pytest.raises(SetupError, match="is not the file"):
+        make(tmp_path / "made", locks, index)
+    assert not (tmp_path / "made" / "curecon_first").exists()
+
+
+def test_a_driver_that_does_not_answer_is_no_card(monkeypatch: pytest.MonkeyPatch, no_card: None) -> None:
+    assert nvidia.find_card() is None
+    monkeypatch.setattr(nvidia, "QUERY", [sys.executable, "-c", "import sys; sys.exit(9)"])
+    assert nvidia.find_card() is None
+
+
 def test_a_file_that_is_not_the_locked_one_is_refused(tmp_path: Path, locks: Path, index: Index) -> None:
     wheel = index.folder / "curecon-second" / "curecon_second-1.0-py3-none-any.whl"
     write_wheel(wheel, {"curecon_second/__init__.py": "VALUE = 'evil'\n"})
@@ -125,7 +188,7 @@ def test_a_cancelled_fetch_goes_on_where_it_stopped(tmp_path: Path, locks: Path,
     reporter = Reporter(cancelled=lambda: index.wheels_asked()[-1:] == ["curecon_second-1.0-py3-none-any.whl"])
     with pytest.raises(Cancelled):
         make(tmp_path / "made", locks, index, reporter)
-    assert not libraries.is_made(tmp_path / "made", libraries.lock_for_this_python(locks))
+    assert not libraries.is_made(tmp_path / "made", libraries.lock_for_this_python(locks, card=False))
     index.held, index.asked = "", []
     index.release.set()
     make(tmp_path / "made", locks, index)

@@ -8,9 +8,11 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from curecon_blender.core.base.records import GeoPosition, Gimbal, Photo
+from curecon_blender.core.photos import stations
 from curecon_blender.core.photos.overlap import estimate
 
 METRES_PER_DEGREE = 111_132.95  # of latitude, near enough at 45 degrees
@@ -84,3 +86,30 @@ def test_one_photo_without_gps_does_not_hide_the_rest() -> None:
     found = estimate((replace(first, gps=None), *others))
     assert found.forward == pytest.approx(0.8, abs=0.04)
     assert first.name not in found.weak
+
+
+def test_a_photo_straight_down_shows_its_own_ground_in_the_order_of_capture() -> None:
+    told = stations.describe(grid(forward=6.0, side=16.0, lines=1, length=3)[::-1])
+    assert [one["name"] for one in told] == ["000.jpg", "001.jpg", "002.jpg"]
+    first = told[0]
+    assert first["place"] == pytest.approx([0.0, -6.0, 40.0], abs=0.1)
+    corners = np.array(first["ground"]).reshape(4, 2)
+    assert np.abs(corners - first["place"][:2]).round(1).tolist() == [[20.0, 15.0]] * 4
+    assert len({tuple(corner) for corner in corners.round().tolist()}) == 4
+
+
+def test_a_photo_that_looks_sideways_shows_no_ground_behind_the_horizon() -> None:
+    level, oblique = (stations.describe((photo(0, 0, 0, yaw=90.0, pitch=pitch),))[0] for pitch in (-5.0, -30.0))
+    assert level["ground"] is None
+    corners = np.array(oblique["ground"]).reshape(4, 2)
+    near, far = corners[:, 0].min(), corners[:, 0].max()
+    assert 30 < near < 45 and near < far < 190  # to the east, no farther than flat rays go
+    assert np.ptp(corners[:, 1]) > 40
+
+
+def test_without_height_or_angles_photos_have_a_place_alone_and_without_gps_none() -> None:
+    high, low, lost = (replace(one, relative_altitude=None, gimbal=None) for one in grid(6.0, 10.0, lines=1, length=3))
+    assert high.gps is not None
+    told = stations.describe((replace(high, gps=replace(high.gps, altitude=352.0)), low, replace(lost, gps=None)))
+    assert [(one["name"], round(one["place"][2]), one["ground"]) for one in told] == [
+        ("000.jpg", 12, None), ("001.jpg", 0, None)]

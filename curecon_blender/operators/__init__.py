@@ -82,6 +82,7 @@ class CURECON_MT_add(bpy.types.Menu):
         layout.operator("curecon.add_region", icon="MESH_CUBE")
         layout.separator()
         layout.operator("curecon.show_tab", text="Open CU-Recon in the Sidebar", icon="MENU_PANEL")
+        layout.operator("curecon.open_workspace", icon="WORKSPACE")
 
 
 class CURECON_MT_object(bpy.types.Menu):
@@ -129,11 +130,17 @@ def _object_context(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
         _object(menu, context)
 
 
+def _workspace(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
+    """In the menu of the tabs at the top."""
+    menu.layout.separator()
+    menu.layout.operator("curecon.open_workspace", icon="WORKSPACE")
+
+
 CLASSES += (CURECON_MT_add, CURECON_MT_object)
 MENUS = (
     ("TOPBAR_MT_file_import", _file_import), ("TOPBAR_MT_file_export", _file_export), ("VIEW3D_MT_add", _add),
     ("VIEW3D_MT_object", _object), ("VIEW3D_MT_object_context_menu", _object_context),
-    ("VIEW3D_HT_header", _header),
+    ("VIEW3D_HT_header", _header), ("TOPBAR_MT_workspace_menu", _workspace),
 )
 KEYMAP = "3D View"
 

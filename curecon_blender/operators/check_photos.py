@@ -17,7 +17,7 @@ from bpy.props import StringProperty
 from .. import thumbnails
 from ..core.base.errors import PhotoError
 from ..core.base.options import CHECK, arguments
-from ..scene import pictures
+from ..scene import new_file, pictures, stations_overlay, view
 from . import paths, running
 from .job_options import job_options
 from .running import WorkerOperator
@@ -64,6 +64,12 @@ class CURECON_OT_check_photos(WorkerOperator, bpy.types.Operator):
         for file in summary["skipped"]:
             entry = check.skipped.add()
             entry.name, entry.reason, entry.surplus = Path(file["path"]).name, file["reason"], file["surplus"]
+        check.stations.clear()
+        for station in summary["stations"]:
+            entry = check.stations.add()
+            entry.name, entry.place = station["name"], station["place"]
+            if station["ground"] is not None:
+                entry.ground, entry.sees_ground = station["ground"], True
         check.costs.clear()
         for quality, goals in summary["presets"].items():
             for goal, cost in goals.items():
@@ -71,6 +77,8 @@ class CURECON_OT_check_photos(WorkerOperator, bpy.types.Operator):
                 entry.name, entry.seconds = f"{quality}:{goal}", cost["seconds"]
                 entry.memory_gib, entry.disk_gib = cost["memory_gib"], cost["disk_gib"]
         check.free_memory_gib, check.free_disk_gib = summary["free_memory_gib"], summary["free_disk_gib"]
+        if (covered := stations_overlay.bounds(scene)) is not None and new_file.is_untouched(scene):
+            view.turn_to(context, covered)  # there is nothing else to look at
         if not check.skipped:
             return rpt_("{} photos can be used.").format(check.photos)
         return rpt_("{} photos are used, {} files are not.").format(check.photos, len(check.skipped))

@@ -111,6 +111,21 @@ class CURECON_OT_show_tab(bpy.types.Operator):
         return {"FINISHED"}
 
 
+class CURECON_OT_open_workspace(bpy.types.Operator):
+    """Turn to a workspace of its own: a large 3D viewport and the tab CU-Recon, made of the workspace that is open"""
+
+    bl_idname = "curecon.open_workspace"
+    bl_label = "Photogrammetry Workspace"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return not bpy.app.background and context.window is not None
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        sidebar.open_workspace(context.window)
+        return {"FINISHED"}
+
+
 class CURECON_FH_photos(bpy.types.FileHandler):
     """Photos dropped on a 3D viewport. Blender offers file handlers by extension only, so a folder cannot be dropped
     there; dropped photos stand for their whole folder."""
@@ -118,11 +133,12 @@ class CURECON_FH_photos(bpy.types.FileHandler):
     bl_idname = "CURECON_FH_photos"
     bl_label = "CU-Recon: Reconstruct These Photos' Folder"
     bl_import_operator = "curecon.drop_photos"
-    bl_file_extensions = ".jpg;.jpeg;.png;.tif;.tiff"
+    bl_file_extensions = ".jpg;.jpeg;.png;.tif;.tiff;.heic;.heif"
 
     @classmethod
     def poll_drop(cls, context: bpy.types.Context) -> bool:
         return context.area is not None and context.area.type == "VIEW_3D"
 
 
-CLASSES = (CURECON_OT_choose_photos, CURECON_OT_drop_photos, CURECON_OT_show_tab, CURECON_FH_photos)
+CLASSES = (CURECON_OT_choose_photos, CURECON_OT_drop_photos, CURECON_OT_show_tab,
+           CURECON_OT_open_workspace, CURECON_FH_photos)

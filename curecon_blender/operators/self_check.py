@@ -76,8 +76,8 @@ def in_words(summary: dict[str, Any]) -> list[tuple[str, str]]:
     else:
         lines.append((iface_("The graphics card does the work: {}.").format(device), "INFO"))
     if summary["unused_card"]:
-        lines.append((iface_("The NVIDIA card in it could do it several times faster. The manual says how, under "
-                             "Install."), "INFO"))
+        lines.append((iface_("The NVIDIA card in it could do it several times faster, with libraries for it. The "
+                             "manual says how, under Install."), "INFO"))
     memory = iface_("Memory: {:.0f} GiB, {:.0f} GiB of it free. Depth maps take up to {:.0f} GiB.")
     lines.append((memory.format(summary["memory_gib"], summary["free_memory_gib"], summary["budget_gib"]), "INFO"))
     return lines

@@ -95,7 +95,11 @@ class CURECON_PT_photos(Panel, bpy.types.Panel):
             gps = iface_("GPS on {} of {}").format(check.gps, check.photos)
         else:
             gps = iface_("No GPS: scale will be unknown")
-        column.label(text=gps, icon="WORLD")
+        row = column.row()
+        row.label(text=gps, icon="WORLD")
+        if check.stations and not context.scene.curecon.result.workspace:
+            row.prop(check, "show_stations", text="", emboss=False,
+                     icon="HIDE_OFF" if check.show_stations else "HIDE_ON")
         if check.gsd_mm:
             column.label(text=iface_("About {:.0f} mm on the ground a pixel").format(check.gsd_mm),
                          icon="DRIVER_DISTANCE")

@@ -18,7 +18,7 @@ from .layout import draw_progress, paragraph
 DEVICES = (
     ("auto", "Automatic", "CUDA or MPS where there is one, otherwise the processor"),
     ("cpu", "Processor", "Works everywhere, slowly"),
-    ("cuda", "NVIDIA (CUDA)", "An NVIDIA card, through a Worker Python whose torch has CUDA"),
+    ("cuda", "NVIDIA (CUDA)", "An NVIDIA card, with libraries for it: those of Get Libraries, or of a Worker Python"),
     ("mps", "Apple (MPS)", "The graphics part of an Apple processor"),
 )
 
@@ -83,7 +83,7 @@ class CURECON_AP_preferences(bpy.types.AddonPreferences):
 
 def draw_libraries(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """The offer to fetch what this zip does not bring."""
-    paragraph(layout, context, "What CU-Recon computes with is fetched once: about 400 MB.", icon="INFO")
+    paragraph(layout, context, "What CU-Recon computes with is fetched once.", icon="INFO")
     if not bpy.app.online_access:
         paragraph(layout, context, "For that, Blender must be allowed to go online:")
         layout.prop(context.preferences.system, "use_online_access")

@@ -8,7 +8,14 @@
 from __future__ import annotations
 
 import bpy
-from bpy.props import BoolProperty, CollectionProperty, FloatProperty, IntProperty, StringProperty
+from bpy.props import (
+    BoolProperty,
+    CollectionProperty,
+    FloatProperty,
+    FloatVectorProperty,
+    IntProperty,
+    StringProperty,
+)
 
 
 class CURECON_PG_skipped(bpy.types.PropertyGroup):
@@ -34,6 +41,18 @@ class CURECON_PG_cost(bpy.types.PropertyGroup):
     seconds: FloatProperty(name="Time", description="Seconds from start to end", min=0.0)
     memory_gib: FloatProperty(name="Memory", description="Peak of the worker's memory in GiB", min=0.0)
     disk_gib: FloatProperty(name="Disk", description="Size of the finished workspace in GiB", min=0.0)
+
+
+class CURECON_PG_station(bpy.types.PropertyGroup):
+    """Where a photo was taken and what ground it shows, by its metadata. `name` is the photo's."""
+
+    place: FloatVectorProperty(
+        name="Place", description="Metres east and north of the photos' middle, and above take-off", size=3,
+    )
+    ground: FloatVectorProperty(
+        name="Ground", description="Its four corners, metres east and north of the photos' middle", size=8,
+    )
+    sees_ground: BoolProperty(name="Sees the Ground", description="The photo's ground is known")
 
 
 class CURECON_PG_check(bpy.types.PropertyGroup):
@@ -75,6 +94,14 @@ class CURECON_PG_check(bpy.types.PropertyGroup):
     skipped: CollectionProperty(
         type=CURECON_PG_skipped, name="Left Out", description="Files that cannot be used",
     )
+    stations: CollectionProperty(
+        type=CURECON_PG_station, name="Flight", description="Where the photos were taken, in the order of capture",
+    )
+    show_stations: BoolProperty(
+        name="Show the Flight",
+        description="Draw over the 3D viewports where the photos were taken and what ground they show, until there is "
+                    "a site", default=True,
+    )
     costs: CollectionProperty(
         type=CURECON_PG_cost, name="Costs", description="Predicted time, memory and disk of each quality and result",
     )
@@ -86,4 +113,4 @@ class CURECON_PG_check(bpy.types.PropertyGroup):
     )
 
 
-CLASSES = (CURECON_PG_skipped, CURECON_PG_doubtful, CURECON_PG_cost, CURECON_PG_check)
+CLASSES = (CURECON_PG_skipped, CURECON_PG_doubtful, CURECON_PG_cost, CURECON_PG_station, CURECON_PG_check)

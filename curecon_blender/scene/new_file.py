@@ -15,11 +15,16 @@ PLACES = {
 }
 
 
+def is_untouched(scene: bpy.types.Scene) -> bool:
+    """Whether a scene holds nothing but what Blender put there."""
+    return all(_is_untouched(item) for item in scene.objects)
+
+
 def clear(scene: bpy.types.Scene) -> bool:
     """Take them out of a scene that holds nothing else, and only as Blender made them, with the collection that
     is empty then; returns whether it did."""
     items = list(scene.objects)
-    if not items or not all(_is_untouched(item) for item in items):
+    if not items or not is_untouched(scene):
         return False
     for holder in list(scene.collection.children):
         if holder.objects and not holder.children:  # all of them ours, as is told above

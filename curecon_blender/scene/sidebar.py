@@ -1,6 +1,7 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The tab of the sidebar, opened for a user who has not found it yet; the outliner, folded to what matters."""
+"""The tab of the sidebar, opened for a user who has not found it yet; a workspace of its own; the outliner, folded to
+what matters."""
 
 from __future__ import annotations
 
@@ -33,6 +34,31 @@ def show_tab(context: bpy.types.Context) -> None:
         return None
 
     bpy.app.timers.register(turn, first_interval=0.0)
+
+
+def open_workspace(window: bpy.types.Window) -> None:
+    """Turn the window to the workspace of our name. The first time it is made of the one that stands there: its largest
+    area becomes a 3D viewport, its tab is open. Blender's own list of workspaces takes no entries of extensions."""
+    workspace = bpy.data.workspaces.get(TAB)
+    if workspace is None:
+        before = set(bpy.data.workspaces)
+        with bpy.context.temp_override(window=window):
+            bpy.ops.workspace.duplicate()
+        (workspace,) = set(bpy.data.workspaces) - before
+        workspace.name = TAB
+        area = max(workspace.screens[0].areas, key=lambda area: area.width * area.height)
+        area.type = "VIEW_3D"
+    window.workspace = workspace
+
+    def turned() -> float | None:
+        """Blender turns to it once it has drawn again."""
+        if window.workspace != workspace:
+            return TAB_SECONDS
+        with bpy.context.temp_override(window=window):
+            show_tab(bpy.context)
+        return None
+
+    bpy.app.timers.register(turned, first_interval=TAB_SECONDS)
 
 
 def fold_outliner(context: bpy.types.Context) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 import curecon_blender
 from curecon_blender import preferences, thumbnails
 from curecon_blender.operators import running
+from curecon_blender.scene import stations_overlay
 
 PHOTOS, FOLDER, PYTHON = map(Path, sys.argv[1:4])
 preferences.Settings.__init__.__kwdefaults__["worker_python"] = PYTHON
@@ -45,6 +46,15 @@ try:
     assert (doubtful.name, doubtful.problems) == ("DJI_0005.JPG", "blurred")
     assert Path(doubtful.thumbnail).is_file() and Path(doubtful.thumbnail).parent == thumbnails.folder()
     assert thumbnails.icon(str(FOLDER / "gone.jpg")) == 0
+
+    # Where they were taken, for the viewport: also in a scene whose units are centimetres.
+    places, corners = stations_overlay.stations(bpy.context.scene)
+    assert len(places) == 11 and len(corners) == 11 and len(check.stations) == 11
+    low, high = stations_overlay.bounds(bpy.context.scene)
+    assert 10 < np.linalg.norm(high - low) < 1000 and low[2] == 0 and 20 < places[:, 2].max() < 120
+    bpy.context.scene.unit_settings.scale_length = 0.01
+    np.testing.assert_allclose(stations_overlay.stations(bpy.context.scene)[0], places * 100, rtol=1e-5)
+    bpy.context.scene.unit_settings.scale_length = 1.0
 
     for goal in ("fusion", "mesh", "texture"):
         seconds = [check.costs[f"{quality}:{goal}"].seconds for quality in ("preview", "standard", "high", "ultra")]

@@ -22,7 +22,7 @@ from ..base.errors import OutOfMemory, PhotoError
 from ..base.geodesy import altitudes_tell
 from ..base.messages import Reporter
 from ..base.records import ELLIPSOID, SEA_LEVEL, UNKNOWN, Photo, PhotoSet, SkippedPhoto
-from . import metadata, overlap
+from . import metadata, overlap, stations
 from .find import Files, find_files, listed, remedy_for
 from .kinds import SURPLUS, Examined, find_surplus, preview_of
 
@@ -127,6 +127,7 @@ def describe(photo_set: PhotoSet) -> dict[str, Any]:
         "ground_sampling_distance_mm": None if distance is None else round(1000 * distance, 2),
         "taken": list(span) if span else None,
         "overlap": _overlap(photos),
+        "stations": stations.describe(photos),
         "doubtful": [
             {"name": photo.name, "path": str(photo.path), "problems": _problems(photo)}
             for photo in photos if _problems(photo)

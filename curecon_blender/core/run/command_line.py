@@ -107,6 +107,7 @@ def parser() -> argparse.ArgumentParser:
     libraries.add_argument("--locks", type=Path, required=True, help="folder of lock files")
     libraries.add_argument("--index", nargs="+", default=[], metavar="ADDRESS",
                            help="package indexes in place of pypi.org and pytorch.org")
+    libraries.add_argument("--processor", action="store_true", help="those for the processor, with an NVIDIA card too")
     _export_arguments(command(EXPORT, "the finished site in surveyors' formats"))
     command(SELF_CHECK, "reconstruct synthetic views, and say what this computer has")
     return main

@@ -30,11 +30,13 @@ from typing import Any
 from ..base.errors import SetupError
 from ..base.files import disk_errors, partial_path
 from ..base.messages import Reporter
+from .nvidia import find_card
 
 INDEXES = ("https://pypi.org/simple", "https://download.pytorch.org/whl/cpu")
 PLATFORMS = {
     ("linux", "x86_64"): "linux-x64", ("win32", "amd64"): "windows-x64", ("darwin", "arm64"): "macos-arm64",
 }
+CARD = "-cuda"  # in the name of a lock that is for NVIDIA cards
 RECORD = "curecon.json"  # in the finished folder: the digest of its lock
 DATA = re.compile(r"^[^/]+\.data/(purelib|platlib)/")  # where a wheel may keep modules, too
 POLL_SECONDS = 0.2
@@ -53,11 +55,14 @@ class Wheel:
     size: int
 
 
-def lock_for_this_python(locks: Path) -> Path | None:
-    """The lock for this system and Python, if there is one."""
-    system = PLATFORMS.get((sys.platform, platform.machine().lower()))
-    path = locks / f"{system}-py{sys.version_info.major}{sys.version_info.minor}.toml"
-    return path if path.is_file() else None
+def lock_for(system: str | None, python: tuple[int, int], locks: Path, *, card: bool) -> Path | None:
+    """The lock for a system and Python, if there is one: with `card` that for NVIDIA cards, where there is such."""
+    names = [f"{system}{kind}-py{python[0]}{python[1]}.toml" for kind in ((CARD, "") if card else ("",))]
+    return next((path for name in names if (path := locks / name).is_file()), None)
+
+
+def lock_for_this_python(locks: Path, *, card: bool) -> Path | None:
+    return lock_for(PLATFORMS.get((sys.platform, platform.machine().lower())), sys.version_info[:2], locks, card=card)
 
 
 def wheels_of(lock: Path) -> list[Wheel]:
@@ -75,10 +80,14 @@ def is_made(folder: Path, lock: Path) -> bool:
     return bool(record == {"lock": _digest(lock)})
 
 
-def make(folder: Path, locks: Path, indexes: tuple[str, ...], reporter: Reporter) -> dict[str, Any]:
-    """Make the folder of libraries; `indexes` are addresses of package indexes, or none for the usual ones. Does
-    nothing where it is made already. Raises SetupError, WorkspaceError, Cancelled."""
-    lock = lock_for_this_python(locks)
+def make(
+    folder: Path, locks: Path, indexes: tuple[str, ...], reporter: Reporter, *, processor: bool = False
+) -> dict[str, Any]:
+    """Make the folder of libraries; `indexes` are addresses of package indexes, or none for the usual ones. They are
+    those for the NVIDIA card where there is one that they can use, unless `processor` is asked for. Does nothing where
+    it is made already. Raises SetupError, WorkspaceError, Cancelled."""
+    card = None if processor else find_card()
+    lock = lock_for_this_python(locks, card=card is not None and card.usable)
     if lock is None:
         version = f"{sys.version_info.major}.{sys.version_info.minor}"
         raise SetupError(
@@ -211,9 +220,9 @@ def _pip() -> list[str]:
 
 @contextlib.contextmanager
 def _requirements(folder: Path, wheels: list[Wheel]) -> Iterator[Path]:
-    """pip's own list of what to bring."""
+    """pip's own list of what to bring; three equals signs keep 2.13.0 from being 2.13.0+cpu."""
     path = folder / "requirements.txt"
-    lines = [f"{wheel.name}=={wheel.version} --hash=sha256:{wheel.sha256}\n" for wheel in wheels]
+    lines = [f"{wheel.name}==={wheel.version} --hash=sha256:{wheel.sha256}\n" for wheel in wheels]
     path.write_text("".join(lines), encoding="utf-8")
     try:
         yield path

@@ -81,7 +81,8 @@ def _run(options: argparse.Namespace, reporter: Reporter) -> dict[str, object]:
     if options.command == LIBRARIES:
         from .libraries import make
 
-        return make(options.folder.absolute(), options.locks, tuple(options.index), reporter)
+        return make(options.folder.absolute(), options.locks, tuple(options.index), reporter,
+                    processor=options.processor)
     from . import pipeline
 
     if options.command == "self-check":
