@@ -119,7 +119,10 @@ class CURECON_OT_open_workspace(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return not bpy.app.background and context.window is not None
+        if bpy.app.background or context.window is None:
+            cls.poll_message_set("Blender runs without a window")
+            return False
+        return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         sidebar.open_workspace(context.window)
