@@ -33,6 +33,7 @@ BOX_EDGES = (0, 1, 1, 2, 2, 3, 3, 0, 4, 5, 5, 6, 6, 7, 7, 4, 0, 4, 1, 5, 2, 6, 3
 EDGE_PARTS = 32  # in each of which a background's gradient is even enough
 PAINT_PIXELS = 5.0  # a smooth wire of Blender's and a little more
 NEARER = 1e-5  # of the depth: to be before what lies at the same place
+MOST_EDGES = 48  # of boxes, beside which points are drawn that they would hide
 PIECE = 1 << 18  # points that are uploaded at once
 PIECE_SECONDS = 0.02  # a drawing begins to upload pieces for so long
 
@@ -55,6 +56,8 @@ struct CloudDisplay {{
   vec4 value;   // height above the world's floor of (x, y, z, 1) in the object's frame
   vec4 range;   // the ramp's low and high end
   vec4 ramp[{RAMP_STEPS}];
+  vec4 view;    // pixels of the region; how many edges
+  vec4 edge[{2 * MOST_EDGES}];  // of boxes painted over, from and to: pixels, depth
 }};
 """
 COLOURS = (display.PHOTO, display.HEIGHT, display.CONFIDENCE, display.VIEWS, display.NORMAL, display.SIGMA)
@@ -72,6 +75,18 @@ void main()
   gl_Position = show.clip_from_object * vec4(position, 1.0);
   // The point's size in pixels at its depth, so that a near cloud closes to a surface.
   gl_PointSize = clamp(radius * show.size.x / gl_Position.w, show.size.y, show.size.z);
+  // A box has left its depth along its edges, though it was painted over: a point behind comes just before them, the
+  // nearer ones before the farther.
+  vec2 at = (0.5 + 0.5 * gl_Position.xy / gl_Position.w) * show.view.xy;
+  float depth = gl_Position.z / gl_Position.w, before = depth;
+  for (int i = 0; i < int(show.view.z + 0.5); i++) {{
+    vec3 start = show.edge[2 * i].xyz, along = show.edge[2 * i + 1].xyz - start;
+    vec3 near = start + along * clamp(dot(at - start.xy, along.xy) / max(dot(along.xy, along.xy), 1e-6), 0.0, 1.0);
+    if (near.z < depth && distance(at, near.xy) < 0.71 * gl_PointSize + 1.0) {{
+      before = min(before, near.z - {NEARER} * (2.0 + (1.0 - depth) / (1.0 - near.z)));
+    }}
+  }}
+  gl_Position.z = before * gl_Position.w;
   int by = int(show.least.w + 0.5);
   if (by == 0) {{
     shown = vec4(colour.rgb, 1.0);
@@ -162,8 +177,9 @@ def _draw() -> None:
         item for item in context.view_layer.objects
         if item.type == "POINTCLOUD" and CLOUD_KEY in item.data and item.visible_get(viewport=space)
     ]
+    edges = np.empty((0, 2, 3))
     if space.overlay.show_overlays and (unselected := [item for item in clouds if not item.select_get()]):
-        _paint_over_bounds(context, unselected)
+        edges = _paint_over_bounds(context, unselected)
     if space.shading.type not in {"SOLID", "WIREFRAME"}:
         if not bpy.app.timers.is_registered(_let_nodes_show):
             bpy.app.timers.register(_let_nodes_show, first_interval=0.0)  # nothing may be written while drawing
@@ -186,7 +202,7 @@ def _draw() -> None:
         pixels = view.window_matrix[1][1] * region.height * 0.85 * scale
         smallest = max(1.0, MIN_POINT_PIXELS * settings.size)
         size = pixels, smallest, MAX_POINT_PIXELS, item.matrix_world.median_scale
-        block = _block(settings, item, view.perspective_matrix, size)
+        block = _block(settings, item, view.perspective_matrix, size, (region.width, region.height), edges)
         shader.uniform_block("show", block)
         upload = _uploads.setdefault(_upload_key(item.data), _Upload())
         upload.go_on(item.data)
@@ -198,16 +214,17 @@ def _draw() -> None:
     gpu.state.depth_test_set("NONE")
 
 
-def _paint_over_bounds(context: bpy.types.Context, items: list[bpy.types.Object]) -> None:
+def _paint_over_bounds(context: bpy.types.Context, items: list[bpy.types.Object]) -> np.ndarray:
     """Paint the boxes about objects shown as bounds in the background's colours, where it has its own and nothing
-    stands before them: black wires about the farthest points say nothing of a site."""
+    stands before them: black wires about the farthest points say nothing of a site. Returns the edges (E,2,3) that were
+    painted over, as far as they lie before the viewer, in pixels and depth."""
     corners = np.array([item.matrix_world @ Vector(corner) for item in items for corner in item.bound_box])
     starts, ends = corners.reshape(-1, 8, 3)[:, BOX_EDGES].reshape(-1, 2, 3).swapaxes(0, 1)
     along = np.linspace(0, 1, EDGE_PARTS + 1)[:, None, None]
     nodes = starts + along * (ends - starts)
     places = np.stack([nodes[:-1], nodes[1:]], axis=2).reshape(-1, 3).astype(np.float32)
     if (colours := _background(context, places)) is None:
-        return
+        return np.empty((0, 2, 3))
     shader = gpu.shader.from_builtin("POLYLINE_SMOOTH_COLOR")
     shader.uniform_float("viewportSize", (context.region.width, context.region.height))
     shader.uniform_float("lineWidth", PAINT_PIXELS * context.preferences.system.pixel_size)
@@ -220,6 +237,21 @@ def _paint_over_bounds(context: bpy.types.Context, items: list[bpy.types.Object]
         gpu.state.depth_mask_set(False)  # or the points behind an edge, drawn next, would be left out
         batch_for_shader(shader, "LINES", {"pos": places, "color": colours}).draw(shader)
         gpu.state.depth_test_set("NONE")
+    return _on_screen(np.stack([starts, ends], axis=1), context)[:MOST_EDGES]
+
+
+def _on_screen(edges: np.ndarray, context: bpy.types.Context) -> np.ndarray:
+    """Edges (E,2,3) in the world as pixels and depth, without what lies behind the viewer."""
+    clip = np.concatenate([edges, np.ones((*edges.shape[:2], 1))], axis=2) @ np.array(
+        context.region_data.perspective_matrix).T
+    ahead = clip[..., 2] + clip[..., 3]  # above 0 beyond the near plane
+    clip, ahead = clip[(ahead > 0).any(axis=1)], ahead[(ahead > 0).any(axis=1)]
+    for one, other in ((0, 1), (1, 0)):
+        share = np.clip(-ahead[:, one] / np.maximum(ahead[:, other] - ahead[:, one], 1e-12), 0, 1)[:, None]
+        clip[:, one] += share * (clip[:, other] - clip[:, one])
+    screen = clip[..., :3] / np.maximum(clip[..., 3:], 1e-9)
+    screen[..., :2] = (0.5 + 0.5 * screen[..., :2]) * (context.region.width, context.region.height)
+    return screen
 
 
 def _background(context: bpy.types.Context, places: np.ndarray) -> np.ndarray | None:
@@ -243,18 +275,21 @@ def _background(context: bpy.types.Context, places: np.ndarray) -> np.ndarray | 
 
 
 def _block(
-    settings: display.Display, item: bpy.types.Object, perspective: Matrix, size: tuple[float, ...]
+    settings: display.Display, item: bpy.types.Object, perspective: Matrix, size: tuple[float, ...],
+    region: tuple[int, int], edges: np.ndarray,
 ) -> gpu.types.GPUUniformBuf:
-    """The shader's CloudDisplay for one cloud in one view."""
+    """The shader's CloudDisplay for one cloud in one view; `edges` as _on_screen has them."""
     matrix, box = item.matrix_world, settings.region_from_world
-    rows = np.zeros((12 + RAMP_STEPS, 4), np.float32)
+    rows = np.zeros((13 + RAMP_STEPS + 2 * MOST_EDGES, 4), np.float32)
     rows[0:4] = np.array(perspective @ matrix).T  # by columns
     rows[4:8] = np.array(box @ matrix if box is not None else Matrix.Identity(4)).T
     rows[8] = size
     rows[9] = (settings.min_confidence, settings.min_views, float(box is not None), COLOURS.index(settings.colour_by))
     rows[10], rows[11, :2] = matrix[2], (settings.low, max(settings.high, settings.low + 1e-6))
     if (node := display.ramp_node()) is not None:
-        rows[12:] = [node.color_ramp.evaluate(step / (RAMP_STEPS - 1)) for step in range(RAMP_STEPS)]
+        rows[12 : 12 + RAMP_STEPS] = [node.color_ramp.evaluate(step / (RAMP_STEPS - 1)) for step in range(RAMP_STEPS)]
+    rows[12 + RAMP_STEPS, :3] = (*region, len(edges))
+    rows[13 + RAMP_STEPS : 13 + RAMP_STEPS + 2 * len(edges), :3] = edges.reshape(-1, 3)
     return gpu.types.GPUUniformBuf(gpu.types.Buffer("FLOAT", rows.size, rows.ravel().tolist()))
 
 
