@@ -121,8 +121,8 @@ def doubt(found: Sequence[Dome], focal_sigma: float | None, scale_sigma: float =
                 f"{bent.source}.")
     share = math.hypot(focal_sigma or 0.0, scale_sigma)
     if focal_sigma is not None and focal_sigma > DOUBTFUL_SHARE / 2 and share > DOUBTFUL_SHARE:
-        return (f"Heights are doubtful: those above the ground may be off by up to {100 * _LIKELY * share:.0f} %, since "
-                "these photos do not tell the focal length from the height.")
+        return (f"Heights are doubtful: those above the ground may be off by up to {100 * _LIKELY * share:.0f} %, "
+                "since these photos do not tell the focal length from the height.")
     return ""
 
 
