@@ -6,8 +6,9 @@
 
 The mesh of the workspace's first component is textured without every n-th view, with and without levelling at the
 seams, and rendered from the views left out, at the size of their undistorted pictures. PSNR (dB) and SSIM count the
-pixels that show a face which is not filled; SSIM's 7x7 window may reach beyond them. The photos' exposure differs, so
-both are also given after one gain for each photo and channel ("matched"). `--out` keeps renders beside photos.
+pixels that show a face which is measured and seen; SSIM's 7x7 window may reach beyond them. The photos' exposure
+differs, so both are also given after one gain for each photo and channel ("matched"). `--out` keeps renders beside
+photos.
 """
 
 from __future__ import annotations
@@ -72,7 +73,7 @@ def evaluate(
             continue
         photo = images.read_rgb(workspace / view.image)
         picture, _, shown = render(textured, pages, view)
-        counted = (shown >= 0) & ~textured.filled[np.maximum(shown, 0)]
+        counted = (shown >= 0) & textured.recorded[np.maximum(shown, 0)]
         if not counted.any():
             continue
         scores.append((*_compare(picture, photo, counted), *_compare(matched(picture, photo, counted), photo, counted),
@@ -84,7 +85,7 @@ def evaluate(
     return TextureErrors(
         level=options.level, psnr=float(means[0]), ssim=float(means[1]), psnr_matched=float(means[2]),
         ssim_matched=float(means[3]), covered=float(means[4]), pages=len(pages), use=use,
-        filled=float(textured.filled.mean()), seconds=seconds,
+        filled=float(1 - textured.recorded.mean()), seconds=seconds,
         cpu_seconds=after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime,
         peak_memory_gib=after.ru_maxrss / 2**20,
     )

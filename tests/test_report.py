@@ -66,7 +66,10 @@ def test_the_report_tells_what_the_workspace_holds(
     mesh = read_mesh(workspace / "mesh.ply")
     assert part["faces"] == len(mesh.faces)
     assert part["integrity"]["filled"] == pytest.approx(mesh.areas[mesh.filled].sum() / mesh.areas.sum(), abs=1e-6)
-    assert part["authenticity"]["unshown"] >= part["authenticity"]["filled"] - 1e-6
+    textured = read_mesh(workspace / "textured" / "mesh.ply")
+    assert np.array_equal(textured.filled, mesh.filled)
+    assert part["authenticity"]["unseen"] == pytest.approx(
+        textured.areas[textured.unseen].sum() / textured.areas.sum(), abs=1e-6)
     assert 0.3 < part["integrity"]["seen_well"] <= 1
     assert part["correctness"]["metres"] and part["correctness"]["gps"]["count"] == len(photos)
     assert provenance["settings"]["quality"] and len(provenance["weights"]) == 64

@@ -75,7 +75,7 @@ def errors(mesh: Mesh, pages: list[np.ndarray], index: float) -> np.ndarray:
     view = box_scene.make_view(1, 8) if index == 1 else box_scene.make_view(int(2 * index), 16, elevation=50)
     truth = box_scene.cast(view)[1].astype(np.float32)
     picture, _, shown = render(mesh, pages, view)
-    counted = (shown >= 0) & ~mesh.filled[np.maximum(shown, 0)]
+    counted = (shown >= 0) & ~mesh.unseen[np.maximum(shown, 0)]
     difference: np.ndarray = gain(picture[counted], truth[counted]) * picture[counted] - truth[counted]
     return difference
 
@@ -92,7 +92,7 @@ def test_a_render_of_the_texture_looks_like_the_scene(scene: tuple[Path, Compone
         assert np.sqrt((errors(mesh, pages, index) ** 2).mean()) < 6  # 32 dB
     assert mesh.uv is not None and mesh.uv.min() >= 0 and mesh.uv.max() <= 1
     truth = box_scene.texture(mesh.vertices).astype(int)
-    seen = np.unique(mesh.faces[~mesh.filled])
+    seen = np.unique(mesh.faces[~mesh.unseen])
     assert np.median(np.abs(mesh.colours[seen] - truth[seen])) < 10
 
 
@@ -105,7 +105,7 @@ def test_a_textured_mesh_survives_its_file(scene: tuple[Path, Component]) -> Non
     np.testing.assert_array_equal(again.uv, mesh.uv)
 
 
-def test_ground_under_the_box_is_filled_and_not_coloured_like_the_roof(scene: tuple[Path, Component]) -> None:
+def test_ground_under_the_box_is_unseen_and_not_coloured_like_the_roof(scene: tuple[Path, Component]) -> None:
     workspace, component = scene
     for index in range(8):  # the box all red
         depth, _ = box_scene.cast(component.views[index])
@@ -123,8 +123,8 @@ def test_ground_under_the_box_is_filled_and_not_coloured_like_the_roof(scene: tu
     ground = centre[:, 2] == 0
     under = ground & (np.abs(centre[:, :2]) < 0.9).all(axis=1)
     around = ground & (np.abs(centre[:, :2]) > 1.2).any(axis=1) & (np.abs(centre[:, :2]) < 2).all(axis=1)
-    assert mesh.filled[under].all()
-    assert mesh.filled[around].mean() < 0.02
+    assert mesh.unseen[under].all()
+    assert mesh.unseen[around].mean() < 0.02
     assert (mesh.colours[mesh.faces[ground]][..., 0] < 130).all()
 
 
@@ -156,7 +156,7 @@ def test_vertex_colours_are_the_light_alternative(scene: tuple[Path, Component])
     workspace, component = scene
     mesh = replace(box_mesh(), colours=np.full((len(box_mesh().vertices), 3), 128, np.uint8))
     coloured = colour_vertices(mesh, component, workspace, Reporter())
-    seen = np.unique(coloured.faces[~coloured.filled])
+    seen = np.unique(coloured.faces[~coloured.unseen])
     truth = box_scene.texture(mesh.vertices).astype(int)
     assert coloured.uv is None
     assert np.median(np.abs(coloured.colours[seen] - truth[seen])) < 8
@@ -215,7 +215,7 @@ def test_wrong_options_are_told(scene: tuple[Path, Component], options: dict[str
 def test_meshes_that_cannot_be_textured_are_told(scene: tuple[Path, Component]) -> None:
     mesh = box_mesh()
     with pytest.raises(TextureError, match="no faces"):
-        textured(scene, replace(mesh, faces=mesh.faces[:0], filled=mesh.filled[:0]))
+        textured(scene, replace(mesh, faces=mesh.faces[:0], filled=mesh.filled[:0], unseen=None))
     with pytest.raises(TextureError, match="not at any place"):
         textured(scene, replace(mesh, vertices=np.full_like(mesh.vertices, np.nan)))
     with pytest.raises(TextureError, match="No photo shows any face"):

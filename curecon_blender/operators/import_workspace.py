@@ -59,7 +59,8 @@ def _show(
     properties, result = scene.curecon, scene.curecon.result
     result.workspace, result.points, result.photos = str(folder), imported.points, photos
     result.cameras, result.parts = len(imported.cameras), imported.parts
-    result.faces, result.textured, result.filled = imported.faces, imported.textured, 100 * imported.filled
+    result.faces, result.textured = imported.faces, imported.textured
+    result.filled, result.unseen = 100 * imported.filled, 100 * imported.unseen
     properties.display_fraction = min(100.0, 100.0 * EASY_POINTS / max(imported.points, 1))
     cameras.show(scene, properties.show_cameras)
     properties.show_cloud, properties.show_surface = not imported.surfaces, True

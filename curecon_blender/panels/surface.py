@@ -53,6 +53,9 @@ class CURECON_PT_surface(Panel, bpy.types.Panel):
         else:
             filled = iface_("All of it measured")
         column.label(text=filled, icon="OVERLAY", translate=False)
+        if result.unseen >= 0.05:
+            unseen = iface_("{:.1f} % unseen: no photo shows its colour").format(result.unseen)
+            column.label(text=unseen, icon="HIDE_ON", translate=False)
 
     def _draw_actions(self, result: bpy.types.PropertyGroup, found: bool) -> None:
         """The next action first and large."""

@@ -23,7 +23,7 @@ from ..core.cloud.ply import read_cloud
 from ..core.run.workspace import refuse_links
 from ..core.site.adjustment import Adjustment
 from ..core.site.adjustment import read as read_adjustment
-from ..core.surface.mesh import Mesh, filled_share, mesh_file, read_mesh, textured_folder
+from ..core.surface.mesh import Mesh, filled_share, mesh_file, read_mesh, textured_folder, unseen_share
 from ..core.views.record import read as read_components
 from . import backdrop, cameras, cloud_edits, display, frame, new_file, placing, points, surface
 from .writable import require
@@ -36,12 +36,14 @@ UNPLACED_KEY = "curecon_unplaced"  # on the collection while it is built, and in
 @dataclass(frozen=True, kw_only=True)
 class Imported:
     """What an import brought in. `clouds` are the PointCloud objects and `surfaces` the mesh objects, largest component
-    first; `filled` is the share of the surfaces' area that no photo measured; `bounds` is what a view should hold."""
+    first; `filled` and `unseen` are the shares of the surfaces' area that no photo measured, and whose colour none
+    shows; `bounds` is what a view should hold."""
 
     collection: bpy.types.Collection
     clouds: tuple[bpy.types.Object, ...]
     surfaces: tuple[bpy.types.Object, ...]
     filled: float
+    unseen: float
     cameras: tuple[bpy.types.Object, ...]
     parts: int
     missing_pictures: int
@@ -77,12 +79,13 @@ class PartContent:
 
 @dataclass(frozen=True, kw_only=True)
 class Content:
-    """All that a workspace `folder` brings into a scene, in arrays as Blender stores them; `filled`, `stale_edits` and
-    `bounds` as in Imported, `ground` the linear colour of the ground."""
+    """All that a workspace `folder` brings into a scene, in arrays as Blender stores them; `filled`, `unseen`,
+    `stale_edits` and `bounds` as in Imported, `ground` the linear colour of the ground."""
 
     folder: Path
     parts: tuple[PartContent, ...]
     filled: float
+    unseen: float
     stale_edits: bool
     bounds: points.Bounds | None  # in the frame of the part `about`
     about: int
@@ -111,7 +114,7 @@ def read(folder: Path) -> Content:
         ))
     bounds, about = _bounds(parts)
     return Content(
-        folder=folder, parts=tuple(parts), filled=filled_share(meshes),
+        folder=folder, parts=tuple(parts), filled=filled_share(meshes), unseen=unseen_share(meshes),
         control=read_control(folder),
         stale_edits=any(is_stale(folder / part.component.cloud) for part in parts), bounds=bounds, about=about,
         ground=next((backdrop.ground_colour(part.cloud) for part in parts if part.cloud is not None), backdrop.GREY),
@@ -265,7 +268,7 @@ def _place(scene: bpy.types.Scene, content: Content, top: bpy.types.Collection) 
     return Imported(
         collection=top, clouds=clouds, cameras=photo_cameras,
         surfaces=tuple(item for item in top.all_objects if surface.is_surface(item)), filled=content.filled,
-        parts=len(content.parts),
+        unseen=content.unseen, parts=len(content.parts),
         missing_pictures=sum(not item.data.background_images for item in photo_cameras),
         stale_edits=content.stale_edits, cleared=cleared, stray=tuple(part.collection.name for part in stray),
         bounds=_in_world(content.bounds, parts[content.about]) if content.bounds is not None else None,

@@ -107,15 +107,16 @@ def strips(view: View, grid: Grid, *, colour: bool, reporter: Reporter) -> Itera
 
 
 class MeshView:
-    """A mesh on a grid. `places` (N,3) are its vertices; `pages` (P,S,S,3) its texture, empty for vertex colours."""
+    """A mesh on a grid. `places` (N,3) are its vertices; `pages` (P,S,S,3) its texture, empty for vertex colours;
+    `shown` (M,) bool, the faces that may be drawn."""
 
-    def __init__(self, mesh: Mesh, places: np.ndarray, pages: np.ndarray, grid: Grid) -> None:
+    def __init__(self, mesh: Mesh, places: np.ndarray, pages: np.ndarray, grid: Grid, shown: np.ndarray) -> None:
         pixels, nearness = grid.project(places)
         self._corners = pixels[mesh.faces]
         self._base = float(np.median(nearness))  # single precision is for what is left
         self._nearness = (nearness - self._base).astype(np.float32)[mesh.faces]
         side, other = self._corners[:, 1] - self._corners[:, 0], self._corners[:, 2] - self._corners[:, 0]
-        self._unseen = mesh.filled | (side[:, 0] * other[:, 1] - side[:, 1] * other[:, 0] >= 0)
+        self._hidden = ~shown | (side[:, 0] * other[:, 1] - side[:, 1] * other[:, 0] >= 0)
         self._low, self._high = self._corners.min(axis=1), self._corners.max(axis=1)
         self._in_strip = np.arange(0)
         self._mesh, self._pages = mesh, pages
@@ -149,7 +150,7 @@ class MeshView:
         number = self._in_strip[(high >= left) & (low <= left + width)]
         corners = (self._corners[number] - [left, top]) * samples
         face, weights = nearest_faces(corners, self._nearness[number], width * samples, height * samples)
-        unseen = np.append(self._unseen[number], False)  # the last one is for -1
+        unseen = np.append(self._hidden[number], False)  # the last one is for -1
         face[unseen[face]] = -1
         return face, weights, number
 

@@ -49,7 +49,9 @@ class Surface:
         """Raises DeliverError for a texture that cannot be read."""
         if self.mesh is None:
             return CloudView(self.places, self.colours, self.spacing, grid)
-        return MeshView(self.mesh, self.places, read_pages(self.folder, self.mesh.pages if colour else ()), grid)
+        pages = read_pages(self.folder, self.mesh.pages if colour else ())
+        shown = self.mesh.recorded if colour else ~self.mesh.filled
+        return MeshView(self.mesh, self.places, pages, grid, shown)
 
 
 def measured_mesh(path: Path) -> Mesh:

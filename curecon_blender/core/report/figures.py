@@ -124,7 +124,7 @@ class Authenticity:
     `likeness` of the textured mesh to the photos, PSNR in dB, as it looks from `compared` of them."""
 
     filled: float | None
-    unshown: float | None
+    unseen: float | None
     removed_points: int
     likeness: Spread | None
     compared: int

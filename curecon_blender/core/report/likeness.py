@@ -24,9 +24,9 @@ _GAP, _PAPER = 12, (255, 255, 255)
 
 @dataclass(frozen=True)
 class Likeness:
-    """`psnr` in dB of each photo that was compared, where the mesh shows what is not filled, after one gain a channel;
-    and of the one in the middle the photo beside the mesh. The photos are those that the texture was made of: this is
-    what meshing and texturing have lost, and no test by photos that took no part."""
+    """`psnr` in dB of each photo that was compared, where the mesh shows what is measured and seen, after one gain a
+    channel; and of the one in the middle the photo beside the mesh. The photos are those that the texture was made of:
+    this is what meshing and texturing have lost, and no test by photos that took no part."""
 
     psnr: list[float]
     pair: Image.Image | None
@@ -44,7 +44,7 @@ def compare(textured: Mesh, component: Component, workspace: Path, reporter: Rep
         reporter.check_cancelled()
         photo = images.read_rgb(workspace / views[number].image)
         picture, _, shown = render(textured, pages, views[number])
-        counted = (shown >= 0) & ~textured.filled[np.maximum(shown, 0)]
+        counted = (shown >= 0) & textured.recorded[np.maximum(shown, 0)]
         if picture.shape == photo.shape and counted.mean() >= LEAST_SHOWN:
             picture = matched(picture, photo, counted)
             picture[shown < 0] = _PAPER

@@ -257,7 +257,7 @@ def _authenticity(site: Site, lettering: Lettering) -> Section:
                           share(real.filled))]
     rows: list[tuple[Text, str]] = [
         (Text("Mesh that was filled"), Text("no mesh") if real.filled is None else share(real.filled)),
-        (Text("Texture that no photo shows"), Text("no texture") if real.unshown is None else share(real.unshown)),
+        (Text("Texture that no photo shows"), Text("no texture") if real.unseen is None else share(real.unseen)),
         (Text("Points that were removed by hand"), f"{real.removed_points:,}"),
     ]
     if real.removed_points:

@@ -23,9 +23,8 @@ _VERTEX = row_type([
     ("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1"),
     ("distance", "<f4"), ("views", "u1"),
 ])
-_FACE_FIELDS: list[Field] = [("vertex_indices", "<i4", 3), ("filled", "u1")]
-_FACE = row_type(_FACE_FIELDS)
-_TEXTURED_FACE = row_type([*_FACE_FIELDS, ("texcoord", "<f4", 6), ("texnumber", "<i4")])
+_MARKS = "filled", "unseen"
+_TEXTURE: list[Field] = [("texcoord", "<f4", 6), ("texnumber", "<i4")]
 _LISTS = {"vertex_indices": 3, "texcoord": 6}
 _PAGE = "TextureFile "  # a comment, one a page
 _REMEDY = "Run Build Mesh again."
@@ -41,7 +40,8 @@ class Mesh:
 
     `vertices` (N,3) float32; `faces` (M,3) int32, counter-clockwise seen from outside; `colours` (N,3) uint8 sRGB;
     `distance` (N,) float32, how far the nearest measured point is, in world units; `views` (N,) uint8, how many photos
-    confirm what was measured there, 0 where nothing was; `filled` (M,) bool, faces that no photo measured.
+    confirm what was measured there, 0 where nothing was; `filled` (M,) bool, faces that no photo measured;
+    `unseen` (M,) bool, apart from that, faces whose colour no photo shows (None before they are painted).
     A textured mesh has `uv` (M,3,2) float32, each corner's place on its page, v upwards from 0 at the bottom,
     `page` (M,) int32 and `pages`, the pages' picture files, relative to the mesh's own file.
     """
@@ -52,6 +52,7 @@ class Mesh:
     distance: np.ndarray
     views: np.ndarray
     filled: np.ndarray
+    unseen: np.ndarray | None = None
     uv: np.ndarray | None = None
     page: np.ndarray | None = None
     pages: tuple[str, ...] = ()
@@ -61,6 +62,11 @@ class Mesh:
         return replace(self, uv=uv, page=page, pages=pages)
 
     @property
+    def recorded(self) -> np.ndarray:
+        """Faces (M,) bool that photos measured and, where the mesh is painted, show."""
+        return ~self.filled if self.unseen is None else ~(self.filled | self.unseen)
+
+    @property
     def areas(self) -> np.ndarray:
         """Areas (M,) of the faces in square world units."""
         return triangle_areas(self.vertices[self.faces])
@@ -68,11 +74,20 @@ class Mesh:
 
 def filled_share(meshes: Iterable[Mesh]) -> float:
     """The share, 0 to 1, of the meshes' area together that no photo measured."""
-    filled = total = 0.0
-    for mesh in meshes:
+    return _share((mesh, mesh.filled) for mesh in meshes)
+
+
+def unseen_share(meshes: Iterable[Mesh]) -> float:
+    """The share, 0 to 1, of the meshes' area together whose colour no photo shows; 0 where none is painted."""
+    return _share((mesh, mesh.unseen) for mesh in meshes)
+
+
+def _share(marked: Iterable[tuple[Mesh, np.ndarray | None]]) -> float:
+    part = total = 0.0
+    for mesh, which in marked:
         areas = mesh.areas
-        filled, total = filled + float(areas[mesh.filled].sum()), total + float(areas.sum())
-    return filled / max(total, 1e-12)
+        part, total = part + (0.0 if which is None else float(areas[which].sum())), total + float(areas.sum())
+    return part / max(total, 1e-12)
 
 
 def mesh_file(index: int) -> str:
@@ -90,11 +105,11 @@ def write_mesh(path: Path, mesh: Mesh) -> None:
     vertices = table(_VERTEX, {
         "x y z": mesh.vertices, "red green blue": mesh.colours, "distance": mesh.distance, "views": mesh.views,
     })
-    columns = {"vertex_indices": mesh.faces, "filled": mesh.filled}
+    marks = {mark: known for mark in _MARKS if (known := getattr(mesh, mark)) is not None}
+    columns = {"vertex_indices": mesh.faces, **marks}
     if mesh.uv is not None and mesh.page is not None:
-        faces = table(_TEXTURED_FACE, {**columns, "texcoord": mesh.uv.reshape(-1, 6), "texnumber": mesh.page})
-    else:
-        faces = table(_FACE, columns)
+        columns |= {"texcoord": mesh.uv.reshape(-1, 6), "texnumber": mesh.page}
+    faces = table(_face(marks, "texcoord" in columns), columns)
     write_ply(path, {"vertex": vertices, "face": faces}, ["CU-Recon", *(_PAGE + page for page in mesh.pages)])
 
 
@@ -105,13 +120,16 @@ def read_mesh(path: Path) -> Mesh:
         header, rows = read_ply(path, ["vertex", "face"], _LISTS)
         pages = tuple(line.removeprefix(_PAGE) for line in header.comments if line.startswith(_PAGE))
         vertices, faces = rows["vertex"], rows["face"]
-        textured = faces.dtype == _TEXTURED_FACE
-        if vertices.dtype != _VERTEX or not (textured or faces.dtype == _FACE) or not all(map(is_file_name, pages)):
+        names = faces.dtype.names or ()
+        marks, textured = [mark for mark in _MARKS if mark in names], "texcoord" in names
+        ours = "filled" in marks and faces.dtype == _face(marks, textured) and vertices.dtype == _VERTEX
+        if not ours or not all(map(is_file_name, pages)):
             raise ValueError("it is no mesh of CU-Recon")
         mesh = Mesh(
             vertices=column(vertices, "x y z"), faces=faces["vertex_indices"].copy(),
             colours=column(vertices, "red green blue"), distance=vertices["distance"].copy(),
-            views=vertices["views"].copy(), filled=faces["filled"].astype(bool), pages=pages,
+            views=vertices["views"].copy(), pages=pages,
+            **{mark: faces[mark].astype(bool) for mark in marks},
             uv=faces["texcoord"].reshape(-1, 3, 2).copy() if textured else None,
             page=faces["texnumber"].copy() if textured else None,
         )
@@ -123,6 +141,11 @@ def read_mesh(path: Path) -> Mesh:
     except ValueError as error:
         raise WorkspaceError(f"{path} is damaged: {error}.", remedy=_REMEDY, path=path) from error
     return mesh
+
+
+def _face(marks: Iterable[str], textured: bool) -> np.dtype:
+    """A row of the file's faces."""
+    return row_type([("vertex_indices", "<i4", 3), *((mark, "u1") for mark in marks), *(_TEXTURE if textured else [])])
 
 
 def _check(mesh: Mesh) -> None:

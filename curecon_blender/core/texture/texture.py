@@ -75,7 +75,7 @@ def texture_mesh(
 
     Photos come from their original files, undistorted at full size through the component's sparse model; where that
     is gone, from the workspace's undistorted picture, with a warning. A face that no photo shows whole is coloured
-    from its surroundings and marked `filled`. Files appear, and earlier ones go, only when all is made.
+    from its surroundings and marked `unseen`. Files appear, and earlier ones go, only when all is made.
     Raises TextureError (no faces, wrong sizes, no photo left, too few pages, memory) and WorkspaceError (full disk).
     """
     _check(mesh, options)
@@ -89,7 +89,7 @@ def texture_mesh(
     names = _write(folder, _encoded_pages(plan, sources, options, reporter), options)
     uv = layout.corners / layout.size
     uv[..., 1] = 1 - uv[..., 1]
-    return replace(mesh, colours=colours, filled=mesh.filled | (labelling.label < 0)).with_texture(
+    return replace(mesh, colours=colours, unseen=labelling.label < 0).with_texture(
         uv, layout.page, names
     )
 
@@ -98,7 +98,7 @@ def colour_vertices(mesh: Mesh, component: Component, workspace: Path, reporter:
     """The mesh with vertex colours from the photos, without UVs: the light alternative to a texture.
 
     Photos are labelling and levelled as for a texture, and taken from the workspace's undistorted pictures. Faces that
-    no photo shows are coloured from their surroundings and marked `filled`. Raises TextureError.
+    no photo shows are coloured from their surroundings and marked `unseen`. Raises TextureError.
     """
     options = TextureOptions()
     _check(mesh, options)
@@ -107,7 +107,7 @@ def colour_vertices(mesh: Mesh, component: Component, workspace: Path, reporter:
     nodes = Nodes.of(mesh.faces, labelling.label, len(sources))
     _, colours = _level(mesh, sources, labelling, nodes, options, reporter)
     reporter.progress(100, 100)
-    return replace(mesh, colours=colours, filled=mesh.filled | (labelling.label < 0), uv=None, page=None, pages=())
+    return replace(mesh, colours=colours, unseen=labelling.label < 0, uv=None, page=None, pages=())
 
 
 def _check(mesh: Mesh, options: TextureOptions) -> None:
