@@ -22,6 +22,7 @@ from curecon_blender.core.base.options import Options
 from curecon_blender.core.base.records import Frame, GeoPosition, Photo, PhotoSet
 from curecon_blender.core.sparse import find_cameras
 from curecon_blender.core.sparse.features import FeatureSettings, extract_features, open_database
+from curecon_blender.core.sparse.mapping import drop_loose
 from curecon_blender.core.sparse.record import read_frame
 from curecon_blender.core.views.undistortion import undistort
 
@@ -143,6 +144,20 @@ def test_every_photo_is_placed_in_metres_in_spite_of_one_wrong_gps(site: Site) -
         turned = image.cam_from_world().rotation.matrix() @ site.scene.rotations[image.name].T
         assert np.degrees(np.arccos(np.clip((np.trace(turned) - 1) / 2, -1, 1))) < 1.5
     assert any("photo 04.png" in warning and "GPS" in warning for warning in site.warnings)
+
+
+def test_a_photo_that_hardly_any_points_hold_is_left_out(site: Site) -> None:
+    """Ten points of three photos or more are what false matches leave of a photo: it may stand anywhere."""
+    model = pycolmap.Reconstruction(site.workspace / "sparse/mapped/0")
+    image = next(model.image(i) for i in model.reg_image_ids() if model.image(i).name == "photo 06.png")
+    held = [
+        i for i, point in enumerate(image.points2D)
+        if point.has_point3D() and model.point3D(point.point3D_id).track.length() >= 3
+    ]
+    for i in held[10:]:
+        model.delete_observation(image.image_id, i)
+    drop_loose(model)
+    assert names(model) == set(site.scene.centres) - {"photo 06.png"}
 
 
 def test_keypoints_stand_in_the_photo_s_own_pixels(site: Site) -> None:

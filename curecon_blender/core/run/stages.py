@@ -277,7 +277,7 @@ DEPTH = Stage(
 STAGES = {stage.name: stage for stage in (
     Stage(name="photos", version=5, weight=0.02, files=(photos_record.FILE_NAME,), run=_check, inputs=_photo_files,
           load=_load_photos, options=("surplus",)),
-    Stage(name="sparse", version=7, weight=0.2, files=("sparse/mapped/[0-9]*/*",), run=_find_cameras,
+    Stage(name="sparse", version=8, weight=0.2, files=("sparse/mapped/[0-9]*/*",), run=_find_cameras,
           options=("preset.sfm_image_size", "preset.max_features"), inputs=_model),
     Stage(name="adjust", version=7, weight=0.02, run=_adjust, inputs=_control, load=_tell_checks,
           files=("sparse/[0-9]*/*.bin", "sparse/[0-9]*/frame.json", "sparse/[0-9]*/accuracy.json",

@@ -16,6 +16,9 @@ from .parallel import threads
 
 INCREMENTAL = 300  # photos; up to here "auto" takes the incremental mapper, which is the more robust
 SMALLEST = 3  # photos in a component
+# Points of three photos or more that hold a photo. The mapper places one by 30 such points; where the adjustment then
+# throws out more than half of them, they were false.
+FEWEST_TIES = 15
 # All is adjusted anew after the model has grown so much, until a step gains less than so much of the cost: the adjust
 # stage has the last word. COLMAP's own 1.1 and 0 take twice as long and give the same model.
 _GROWTH, _TOLERANCE = 1.4, 1e-5
@@ -26,7 +29,8 @@ def map_photos(
 ) -> list[pycolmap.Reconstruction]:
     """The components that a mapper ("auto", "incremental" or "global") makes of the photos named, the largest first.
 
-    Each photo is in one component, and none has fewer than SMALLEST. `placed` is told how many photos more were
+    Each photo is in one component, and none has fewer than SMALLEST. A photo with fewer than FEWEST_TIES is not in: it
+    may stand anywhere. `placed` is told how many photos more were
     placed, where the mapper tells. Raises Cancelled.
     """
     if mapper == "auto":
@@ -93,8 +97,21 @@ def _components(models: list[pycolmap.Reconstruction]) -> list[pycolmap.Reconstr
         for image_id in model.reg_image_ids():
             if model.image(image_id).name in taken:
                 model.deregister_frame(model.image(image_id).frame_id)
+        drop_loose(model)
         if model.num_reg_images() >= SMALLEST and model.num_points3D() > 0:
             model.tear_down()
             taken |= {model.image(i).name for i in model.reg_image_ids()}
             components.append(model)
     return sorted(components, key=lambda model: -model.num_reg_images())
+
+
+def drop_loose(model: pycolmap.Reconstruction) -> None:
+    """Take out the photos that too few points of three photos or more hold in their place."""
+    while loose := [model.image(i) for i in model.reg_image_ids() if _ties(model, model.image(i)) < FEWEST_TIES]:
+        for image in loose:  # what they leave may be loose in its turn
+            model.deregister_frame(image.frame_id)
+
+
+def _ties(model: pycolmap.Reconstruction, image: pycolmap.Image) -> int:
+    points = (model.point3D(point.point3D_id) for point in image.get_observation_points2D())
+    return sum(point.track.length() >= 3 for point in points)
