@@ -17,7 +17,9 @@ from curecon_blender.core.base import files, images
 from curecon_blender.core.base.errors import WorkspaceError
 from curecon_blender.core.base.messages import Reporter
 from curecon_blender.core.base.records import Component
+from curecon_blender.core.base.sampling import sample
 from curecon_blender.core.surface.mesh import Mesh, read_mesh, write_mesh
+from curecon_blender.core.surface.triangles import triangle_areas
 from curecon_blender.core.texture.rendering import render
 from curecon_blender.core.texture.texture import TextureError, TextureOptions, colour_vertices, texture_mesh
 from tests import box_scene
@@ -126,6 +128,20 @@ def test_ground_under_the_box_is_unseen_and_not_coloured_like_the_roof(scene: tu
     assert mesh.unseen[under].all()
     assert mesh.unseen[around].mean() < 0.02
     assert (mesh.colours[mesh.faces[ground]][..., 0] < 130).all()
+
+
+def test_faces_smaller_than_a_texel_show_their_own_colour(scene: tuple[Path, Component]) -> None:
+    """Crumbs of a mesh, each a chart of its own: none may show what lies beside it on the page."""
+    whole = box_mesh()
+    kept = np.random.default_rng(1).random(len(whole.faces)) < 0.15
+    mesh, pages = textured(scene, replace(whole, faces=whole.faces[kept], filled=whole.filled[kept]), image_size=80)
+    assert mesh.uv is not None
+    seen = np.flatnonzero(~mesh.unseen)
+    assert (triangle_areas(mesh.uv[seen] * len(pages[0])) < 1).mean() > 0.1
+    u, v = mesh.uv[seen].mean(axis=1).T * len(pages[0])
+    shown = sample(pages[0], u, len(pages[0]) - v).astype(int)
+    truth = box_scene.texture(mesh.vertices[mesh.faces[seen]].mean(axis=1)).astype(int)
+    assert np.percentile(np.abs(shown - truth).max(axis=1), 95) < 45  # 104 when they do
 
 
 def test_exposure_differences_are_levelled(scene: tuple[Path, Component]) -> None:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From photos to texture pages: one photo at a time gives its colours to the texels of its faces."""
+"""From photos to texture pages: one photo at a time adds its colours to the texels of the faces that it shows."""
 
 from __future__ import annotations
 
@@ -11,94 +11,74 @@ import cv2
 import numpy as np
 
 from ..base.messages import Reporter
-from ..base.sampling import sample
+from .blending import Shares
 from .charts import PADDING, Layout
 from .photo_sources import Source
-from .rasterise import scan_convert
-from .seams import Nodes
-from .visibility import in_camera, project
+from .rasterise import blend_photo, scan_convert
+from .visibility import in_camera
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bake:
     """All that is known before the photos are read at full size.
 
-    `label` and `second` (M,) int16, the photos of each face, -1 for none; `weight` (M,3) of the second one;
-    `origin` (N,) the vertices whose corrections the second one takes; `correction` (P,3) at the `nodes`; `gains` (V,3);
-    `colours` (N,3) uint8, for the faces that no photo shows.
+    `shares`, how much each photo counts for a face; `gains` (V,3), the factors of the photos' sRGB values; `colours`
+    (N,3) uint8, for the faces that no photo shows.
     """
 
     vertices: np.ndarray
     faces: np.ndarray
-    label: np.ndarray
-    second: np.ndarray
-    weight: np.ndarray
-    origin: np.ndarray
+    shares: Shares
     layout: Layout
-    nodes: Nodes
-    correction: np.ndarray
     gains: np.ndarray
     colours: np.ndarray
 
-    bytes_per_texel = 3 + 4 + 1 + 8  # both photos' colours, the weight, what is covered; and filling of the gaps
+    bytes_per_texel = 16 + 3 + 1 + 8  # sums of colours and of weights, the page, what is covered; filling of the gaps
 
 
 def bake(
     plan: Bake, sources: list[Source], numbers: range, reporter: Reporter, progress: Callable[[int], None]
 ) -> Iterator[np.ndarray]:
     """Yield the pages `numbers` as (S,S,3) uint8 sRGB, row 0 at the top. `progress` is told the photos done."""
-    size = plan.layout.size
-    first = np.zeros((len(numbers), size * size, 3), np.uint8)
-    second = np.zeros((len(numbers), size * size, 4), np.uint8)
-    covered = np.zeros((len(numbers), size * size), np.uint8)
-    here = (plan.layout.page >= numbers.start) & (plan.layout.page < numbers.stop)
+    layout = plan.layout
+    size = layout.size
+    total = np.zeros((len(numbers), size, size, 4), np.float32)
+    here = (layout.page >= numbers.start) & (layout.page < numbers.stop)
     for number, source in enumerate(sources):
         progress(number)
-        own = np.flatnonzero(here & (plan.label == number))
-        borrowed = np.flatnonzero(here & (plan.second == number))
-        if not len(own) and not len(borrowed):
+        face, weight = plan.shares.of(number)
+        mine = here[face]
+        face, weight = face[mine], weight[mine]
+        if not len(face):
             continue
-        picture, K = source.read(plan.layout.scale, reporter)
-        for page, pixel, _, colour in _texels(plan, number, source, picture, K, own, plan.nodes.corner[own]):
-            first[page - numbers.start, pixel] = colour
-            covered[page - numbers.start, pixel] = 1
-        node = plan.nodes.find(plan.origin[plan.faces[borrowed]], np.full((len(borrowed), 1), number))
-        for page, pixel, weight, colour in _texels(plan, number, source, picture, K, borrowed, node):
-            second[page - numbers.start, pixel, :3] = colour
-            second[page - numbers.start, pixel, 3] = np.rint(255 * weight)
-    unseen = np.flatnonzero(here & (plan.label < 0))
+        picture, K = source.read(layout.scale, reporter)
+        points = in_camera(plan.vertices, source.view)[plan.faces[face]]
+        blend_photo(layout.corners[face], layout.page[face] - numbers.start, layout.border[face], points, weight, K,
+                    picture, plan.gains[number].astype(np.float32), total)
+    unseen = np.flatnonzero(here & ~plan.shares.seen)
     for index, page in enumerate(numbers):
-        face = unseen[plan.layout.page[unseen] == page]
-        for which, pixel, weights in scan_convert(plan.layout.corners[face], size, size):
-            colours = plan.colours[plan.faces[face[which]]].astype(np.float32)
-            first[index, pixel] = np.rint(np.einsum("nk,nkc->nc", weights, colours))
-            covered[index, pixel] = 1
-        fade = np.flatnonzero(second[index, :, 3])
-        share = second[index, fade, 3:].astype(np.float32) / 255
-        first[index, fade] = np.rint(first[index, fade] * (1 - share) + second[index, fade, :3] * share)
-        yield _fill_gaps(first[index].reshape(size, size, 3), covered[index].reshape(size, size))
+        face = unseen[layout.page[unseen] == page]
+        yield _finish(total[index], layout.corners[face], plan.colours[plan.faces[face]])
 
 
-def _texels(
-    plan: Bake, number: int, source: Source, picture: np.ndarray, K: np.ndarray, faces: np.ndarray, node: np.ndarray
-) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
-    """(page, texel (n,), weight of the second photo (n,), colour (n,3) uint8) of `faces` as photo `number` has them,
-    levelled by the corrections at the nodes (len(faces),3), -1 for none."""
-    size = plan.layout.size
-    points = in_camera(plan.vertices[plan.faces[faces]].reshape(-1, 3), source.view).reshape(-1, 3, 3)
-    correction = np.where((node >= 0)[..., None], plan.correction[np.maximum(node, 0)], 0).astype(np.float32)
-    gain = plan.gains[number].astype(np.float32)
-    for page in np.unique(plan.layout.page[faces]):
-        here = np.flatnonzero(plan.layout.page[faces] == page)
-        for which, pixel, weights in scan_convert(plan.layout.corners[faces[here]], size, size):
-            face = here[which]
-            # By way of the point in space: right also where a large face is seen at an angle.
-            at = project(np.einsum("nk,nkc->nc", weights, points[face]), K)
-            u, v = np.nan_to_num(at).T
-            colour = sample(picture, u, v, cv2.INTER_CUBIC) * gain
-            colour += np.einsum("nk,nkc->nc", weights, correction[face])
-            weight = np.einsum("nk,nk->n", weights, plan.weight[faces[face]])
-            yield int(page), pixel, weight, np.clip(np.rint(colour), 0, 255).astype(np.uint8)
+def _finish(total: np.ndarray, corners: np.ndarray, colours: np.ndarray) -> np.ndarray:
+    """The page (S,S,3) of sums (S,S,4) of colours and weights, with the faces that no photo shows: their `corners`
+    (n,3,2) on the page and `colours` (n,3,3) there."""
+    size = len(total)
+    mass = total[..., 3]
+    covered = (mass > 0).astype(np.uint8)
+    page = np.zeros((size, size, 3), np.uint8)
+    for channel in range(3):
+        page[..., channel] = np.clip(np.rint(total[..., channel] / np.maximum(mass, np.finfo(np.float32).tiny)), 0, 255)
+    flat, known = page.reshape(-1, 3), covered.reshape(-1)
+    x, y = np.clip(corners.mean(axis=1).T.astype(np.int64), 0, size - 1)
+    alone = known[y * size + x] == 0  # a face has a texel of its own, be it smaller than one
+    flat[(y * size + x)[alone]] = np.rint(colours.mean(axis=1))[alone]
+    known[y * size + x] = 1
+    for face, pixel, weights in scan_convert(corners, size, size):
+        flat[pixel] = np.rint(np.einsum("nk,nkc->nc", weights, colours[face].astype(np.float32)))
+        known[pixel] = 1
+    return _fill_gaps(page, covered)
 
 
 def _fill_gaps(page: np.ndarray, covered: np.ndarray) -> np.ndarray:

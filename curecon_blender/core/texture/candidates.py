@@ -31,8 +31,9 @@ _BEHIND = 0.02  # of its quality is left to a photo that has something else in f
 class Candidates:
     """The best photos of each of M faces, in no order, filled in place.
 
-    `view` (M,K) int16, index of a photo or UNSEEN; `quality` (M,K) float32, 0 where there is none; `colour` (M,K,3)
-    uint8, mean sRGB about the face in that photo.
+    `view` (M,K) int16, index of a photo or UNSEEN; `quality` (M,K) float32, 0 where there is none, negative where the
+    photo sees the face's centroid but not all of it for sure: it may be laid out by that photo, but takes no colour;
+    `colour` (M,K,3) uint8, mean sRGB about the face in that photo.
     """
 
     view: np.ndarray
@@ -48,8 +49,9 @@ class Candidates:
 
     def add(self, view: int, face: np.ndarray, quality: np.ndarray, colour: np.ndarray) -> None:
         """Let photo `view` take the place of the poorest candidate of each `face` (n,), where it is better."""
-        slot = self.quality[face].argmin(axis=1)
-        better = quality > self.quality[face, slot]
+        worth = np.where(self.view[face] == UNSEEN, -np.inf, self.quality[face])
+        slot = worth.argmin(axis=1)
+        better = quality > worth[np.arange(len(face)), slot]
         face, slot = face[better], slot[better]
         self.view[face, slot] = view
         self.quality[face, slot] = quality[better]
@@ -78,6 +80,7 @@ def add_candidates(
     quality = (resolution * np.clip(cosine, 0.05, 1)) ** 2 * np.sqrt(sharpness) * rim
     quality[_occluded(source, seen)] *= _BEHIND
     colour = sample(cv2.blur(picture, (window, window)), *seen.centre.T)
+    quality[~seen.whole] *= -1
     candidates.add(number, seen.face, quality.astype(np.float32), colour)
 
 

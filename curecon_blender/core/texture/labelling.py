@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which photo each face of a mesh is textured from: candidates, exposure, consensus, and large patches.
+"""Which photos colour each face of a mesh, and by which one it is laid out: exposure, consensus, and large patches.
 
 Every face keeps the few photos that see it best (`Candidates`), so memory does not grow with the number of photos. The
 choice minimises an energy as in Lempitsky and Ivanov 2007 and Waechter et al. 2014 ("Let There Be Color!"): a cost for
@@ -9,6 +9,8 @@ photos. It is minimised by mean-field annealing over the face graph, all faces a
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 import scipy.sparse as sp
@@ -23,12 +25,14 @@ _STRANGE_COST = 3.0  # for a photo that shows there what was measured nowhere ab
 _OUTLIER = 24.0  # of 255: a photo whose colour for a face is this far from the others' median is doubted
 _OUTLIER_COST = 3.0  # of one that is twice that far, where 1 is the cost of a photo that is worth nothing
 _USELESS, _USELESS_COST = 0.1, 2.0  # below this share of the best quality a photo is avoided, whatever its surroundings
-_WELL = 1.0  # cost below which a photo may be blended in near a seam
-_MOST_TO_ABSORB = 1.5  # cost of a photo that a small patch may still take from its neighbours
+_WELL = 1.0  # cost, above that of a face's best photo, up to which another one counts for its colour
+_SHARPER = 3  # power of the quality by which photos count for a face's colour
+_COARSE = 0.1  # share of the best quality that a photo needs to lay out a face of a small patch
+_GOOD_ENOUGH = 0.25  # and one at the edge of a patch
 _EDGE = 0.5  # cost of an edge between two photos
 _TEMPERATURES = np.geomspace(0.6, 0.05, 12)
-_CLEAN_UP = 6
-_SMALL = 24  # faces: patches below it go to a neighbour that can take them
+_CLEAN_UP, _ROUNDS = 10, 10  # of absorbing small patches, and of smoothing edges
+_SMALL = 100  # faces: patches below it go to a neighbour that can take them
 _GAIN_FACES = 40_000  # a sample of faces is plenty to tell exposures
 _GAIN_PRIOR = 1e-3
 _BLOCK = 1 << 17
@@ -43,7 +47,7 @@ def exposure_gains(candidates: Candidates, views: int) -> np.ndarray:
     if len(seen) > _GAIN_FACES:
         seen = np.random.default_rng(0).choice(seen, _GAIN_FACES, replace=False)
     view, colour = candidates.view[seen].astype(np.int64), candidates.colour[seen].astype(np.float32)
-    usable = (view >= 0) & (colour.min(axis=2) > 8) & (colour.max(axis=2) < 250)
+    usable = (candidates.quality[seen] > 0) & (colour.min(axis=2) > 8) & (colour.max(axis=2) < 250)
     log = np.log(np.maximum(colour, 1))
     first, second = np.triu_indices(CANDIDATES, 1)
     both = usable[:, first] & usable[:, second]
@@ -75,8 +79,9 @@ def exposure_gains(candidates: Candidates, views: int) -> np.ndarray:
 def choose_photos(
     candidates: Candidates, gains: np.ndarray, anchor: np.ndarray, trusted: np.ndarray, neighbours: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The photo that textures each face, (M,) int16, UNSEEN where there is none; and the photos that show it well and
-    as the others do, (M,K) int16.
+    """The photo that each face is laid out by, (M,) int16, UNSEEN where there is none; and how much each of its
+    candidates counts for its colour, (M,K) float32, 0 for those that show it poorly or otherwise than the others do.
+    A face for which none counts is unseen, even where it is laid out as its neighbours are.
 
     `anchor` (M,3) uint8 sRGB is what the fused cloud says of each face's colour; it votes as one more photo where
     `trusted` (M,). A face that is not `trusted` (no photo measured it) and looks like none of what was measured about
@@ -91,9 +96,11 @@ def choose_photos(
     cost = np.column_stack([cost, nothing.astype(np.float32)])
     view = np.column_stack([candidates.view, np.full(len(cost), _NOTHING, np.int16)])
     slot = _anneal(cost, neighbours, _shared_slots(view, neighbours))
-    label = _absorb_small_patches(slot, cost, view, neighbours)
-    usable = np.where(cost[:, :-1] < _WELL, candidates.view, np.int16(UNSEEN))
-    return np.maximum(label, UNSEEN), usable
+    seen = view[np.arange(len(view)), slot] >= 0
+    good = seen[:, None] & (cost[:, :-1] < cost[:, :-1].min(axis=1, keepdims=True) + _WELL)
+    label = _large_patches(np.maximum(view[np.arange(len(view)), slot], UNSEEN), candidates, neighbours)
+    worth = np.where(good, candidates.quality, 0)
+    return label, (worth / np.maximum(worth.max(axis=1, keepdims=True), np.finfo(np.float32).tiny)) ** _SHARPER
 
 
 def _data_cost(
@@ -101,7 +108,7 @@ def _data_cost(
 ) -> np.ndarray:
     view, quality = candidates.view[block], candidates.quality[block]
     valid = quality > 0
-    share = quality / np.maximum(quality.max(axis=1, keepdims=True), 1e-30)
+    share = np.maximum(quality, 0) / np.maximum(quality.max(axis=1, keepdims=True), 1e-30)
     poorer = 1 - share + np.float32(_USELESS_COST) * np.maximum(1 - share / _USELESS, 0)
     colour = candidates.colour[block] * gains[view].astype(np.float32)
     votes = np.concatenate([np.where(valid[..., None], colour, np.inf),
@@ -173,22 +180,47 @@ def patches(label: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
     return connected_components(np.stack([face, neighbours[face, edge]], axis=1), len(label))
 
 
-def _absorb_small_patches(
-    slot: np.ndarray, cost: np.ndarray, view: np.ndarray, neighbours: np.ndarray
-) -> np.ndarray:
-    """From slots to photos, (M,) int16; faces of small patches take a neighbour's photo where they can at all."""
-    label: np.ndarray = view[np.arange(len(slot)), slot]
+def _large_patches(label: np.ndarray, candidates: Candidates, neighbours: np.ndarray) -> np.ndarray:
+    """The photo that each face is laid out by, (M,) int16: where a neighbour's photo shows a face, too, it is laid out
+    by that, if it is of a small patch or at a ragged edge. Gutters then take less room."""
+    quality = np.abs(candidates.quality)
+    share = quality / np.maximum(quality.max(axis=1, keepdims=True), np.finfo(np.float32).tiny)
+
+    def worth(face: np.ndarray, photo: np.ndarray) -> np.ndarray:
+        match = (candidates.view[face] == photo[:, None]) & (photo != UNSEEN)[:, None]
+        result: np.ndarray = np.where(match, share[face], 0).max(axis=1)
+        return result
+
+    label = _smooth_edges(label, neighbours, worth)
     for _ in range(_CLEAN_UP):
         patch = patches(label, neighbours)
-        small = np.bincount(patch)[patch] < _SMALL
-        face = np.flatnonzero(small)
+        size = np.bincount(patch)
+        face = np.flatnonzero(size[patch] < _SMALL)
         theirs = neighbours[face]
-        offered = np.where((theirs >= 0) & ~small[theirs], label[theirs], UNSEEN)  # (n,3)
-        match = (view[face][:, None, :] == offered[..., None]) & (offered != UNSEEN)[..., None]
-        price = np.where(match, cost[face][:, None, :], np.inf).min(axis=2)
-        best = price.argmin(axis=1)
-        moves = price[np.arange(len(face)), best] < _MOST_TO_ABSORB
+        larger = (theirs >= 0) & (size[patch[theirs]] > size[patch[face]][:, None])
+        offered = np.where(larger, label[theirs], UNSEEN)
+        value = np.stack([worth(face, photo) for photo in offered.T], axis=1)
+        best = value.argmax(axis=1)[:, None]
+        moves = np.take_along_axis(value, best, axis=1)[:, 0] > _COARSE
         if not moves.any():
             break
-        label[face[moves]] = offered[np.arange(len(face)), best][moves]
+        label[face[moves]] = np.take_along_axis(offered, best, axis=1)[moves, 0]
+    return _smooth_edges(label, neighbours, worth)
+
+
+def _smooth_edges(
+    label: np.ndarray, neighbours: np.ndarray, worth: Callable[[np.ndarray, np.ndarray], np.ndarray]
+) -> np.ndarray:
+    """Labels (M,) of which those that two neighbours have take the place of the third's, every other face at a time."""
+    label = label.copy()
+    for start in range(_ROUNDS):
+        face = np.arange(start % 2, len(label), 2)
+        a, b, c = np.where(neighbours[face] >= 0, label[neighbours[face]], UNSEEN).T
+        common = np.where((a == b) | (a == c), a, np.where(b == c, b, UNSEEN))
+        differs = (common != UNSEEN) & (common != label[face])
+        face, common = face[differs], common[differs]
+        moves = worth(face, common) > _GOOD_ENOUGH
+        if not moves.any():
+            break
+        label[face[moves]] = common[moves]
     return label

@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 
 _BLOCK = 1 << 20  # pixels worked on at once: some tens of bytes each, and a good size for the processor's cache
+_FAR = 3.0  # barycentric coordinates: farther than that outside of a triangle, its middle stands for it
 _compiled: Any = njit(nogil=True, error_model="numpy")  # exact: neighbours must agree on where their edge crosses a row
 
 
@@ -171,3 +172,94 @@ def _keep_nearest_face(corners, nearness, faces, weights):  # type: ignore[no-un
                 if value > nearest[row, column]:
                     nearest[row, column], faces[row, column] = value, face
                     weights[row, column, 0], weights[row, column, 1], weights[row, column, 2] = a, b, c
+
+
+@_compiled
+def blend_photo(corners, pages, border, points, weights, K, picture, gain, total):  # type: ignore[no-untyped-def]
+    """Add a photo's colours to the texels of triangles: `corners` (M,3,2) on `pages` (M,), whose points in the camera's
+    frame are `points` (M,3,3) and the photo's weights there `weights` (M,3). `picture` (H,W,3) uint8 with `K` (3,3) and
+    `gain` (3,); `total` (P,S,S,4) float32, sums of weighted colours and of weights, is added to.
+
+    The texel's place in the photo is found by way of the point in space: right also where a large face is seen at an
+    angle. Triangles at the `border` (M,) of a chart, and those that cover no texel's centre, also colour the texels
+    around them, with so little weight that it only shows where nothing else does: bilinear viewers mix them in.
+    """
+    size = total.shape[1]
+    colour = np.empty(3, np.float32)
+    for face in range(len(corners)):
+        triangle, page = corners[face], pages[face]
+        slopes = _slopes(triangle)
+        first_row, end_row = _rows(triangle, size)
+        hit = False
+        for row in range(first_row, end_row):
+            first, end = _columns(triangle, row, size)
+            for column in range(first, end):
+                a, b, c = _weights(triangle, slopes, column, row)
+                _add(points[face], weights[face], a, b, c, np.float32(1), K, picture, gain, total[page, row, column],
+                     colour)
+                hit = True
+        if border[face] or not hit:
+            _add_around(triangle, slopes, points[face], weights[face], K, picture, gain, total[page], colour)
+
+
+@_compiled
+def _add_around(triangle, slopes, points, weights, K, picture, gain, total, colour):  # type: ignore[no-untyped-def]
+    """Add the photo's colours to the texels within one texel of a triangle, with next to no weight."""
+    size = len(total)
+    x0, x1, x2 = triangle[0, 0], triangle[1, 0], triangle[2, 0]
+    y0, y1, y2 = triangle[0, 1], triangle[1, 1], triangle[2, 1]
+    if not np.isfinite(x0 + x1 + x2 + y0 + y1 + y2):
+        return
+    flat = slopes[0] == 0 and slopes[1] == 0
+    for row in range(_first_centre(min(y0, y1, y2) - 1, size), _first_centre(max(y0, y1, y2) + 1, size)):
+        for column in range(_first_centre(min(x0, x1, x2) - 1, size), _first_centre(max(x0, x1, x2) + 1, size)):
+            a = b = c = np.float32(1 / 3)
+            if not flat:
+                a, b, c = _weights(triangle, slopes, column, row)
+                if abs(a) > _FAR or abs(b) > _FAR or abs(c) > _FAR:  # on the plane of a sliver one soon is far away
+                    a = b = c = np.float32(1 / 3)
+            least = min(a, b, c)
+            _add(points, weights, a, b, c, np.float32(1e-6) / (np.float32(1) + least * least), K, picture, gain,
+                 total[row, column], colour)
+
+
+@_compiled
+def _add(points, weights, a, b, c, times, K, picture, gain, total, colour):  # type: ignore[no-untyped-def]
+    """Add the photo's colour, times the weight, at one place of a triangle to `total` (4,)."""
+    x = a * points[0, 0] + b * points[1, 0] + c * points[2, 0]
+    y = a * points[0, 1] + b * points[1, 1] + c * points[2, 1]
+    z = a * points[0, 2] + b * points[1, 2] + c * points[2, 2]
+    if not z > 1e-6:
+        return
+    weight = times * max(a * weights[0] + b * weights[1] + c * weights[2], min(weights[0], weights[1], weights[2]))
+    _cubic(picture, K[0, 0] * x / z + K[0, 1] * y / z + K[0, 2], K[1, 1] * y / z + K[1, 2], colour)
+    for channel in range(3):
+        total[channel] += weight * gain[channel] * colour[channel]
+    total[3] += weight
+
+
+@_compiled
+def _cubic(picture, u, v, colour):  # type: ignore[no-untyped-def]
+    """The colour of a picture (H,W,3) at a place, by Keys's cubic convolution, into `colour` (3,)."""
+    height, width = picture.shape[:2]
+    left, top = int(np.floor(u - 0.5)), int(np.floor(v - 0.5))
+    s, t = np.float32(u - 0.5 - left), np.float32(v - 0.5 - top)
+    colour[:] = 0
+    for i in range(-1, 3):
+        row = min(max(top + i, 0), height - 1)
+        vertical = _kernel(t - i)
+        for j in range(-1, 3):
+            column = min(max(left + j, 0), width - 1)
+            weight = vertical * _kernel(s - j)
+            for channel in range(3):
+                colour[channel] += weight * picture[row, column, channel]
+
+
+@_compiled
+def _kernel(x):  # type: ignore[no-untyped-def]
+    x = abs(x)
+    if x < 1:
+        return np.float32((1.5 * x - 2.5) * x * x + 1)
+    if x < 2:
+        return np.float32(((-0.5 * x + 2.5) * x - 4) * x + 2)
+    return np.float32(0)

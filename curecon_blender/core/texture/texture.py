@@ -1,12 +1,14 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A texture for a mesh from the photos: the best photo for each face, levelled at the seams, on pages.
+"""A texture for a mesh from the photos: the mean of those that show a place well and alike, on pages.
 
 1. Every photo, one at a time, says which faces it sees and how well (visibility.py, candidates.py).
-2. Each face chooses its photo, so that patches are large and outliers are left out (labelling.py).
+2. Each face chooses the photos that colour it, without outliers, and one that it is laid out by, so that patches are
+   large (labelling.py).
 3. Patches become charts, laid out as their photos see them, and are packed into pages (charts.py).
-4. Corrections make colours meet at the seams (seams.py).
-5. Every photo, again one at a time and at full size, gives its colours to the texels of its faces (baking.py).
+4. Photos count for a texel by how well they show it, gradually (blending.py). Colours of vertices are made first: they
+   spread to what no photo shows (diffusion.py).
+5. Every photo, again one at a time and at full size, adds its colours to the texels of its faces (baking.py).
 """
 
 from __future__ import annotations
@@ -26,17 +28,17 @@ from ..base.messages import Reporter
 from ..base.records import Component
 from ..base.sampling import sample
 from ..surface.mesh import Mesh
-from ..surface.triangles import face_neighbours, triangle_areas
+from ..surface.triangles import face_neighbours
 from .baking import Bake, bake
+from .blending import Shares
 from .candidates import Candidates, add_candidates
 from .charts import Layout, lay_out
+from .diffusion import diffuse
 from .labelling import choose_photos, exposure_gains
 from .photo_sources import Source, find_sources
-from .seams import Nodes, cross_fade, diffuse, level
 from .visibility import in_camera, project, smooth_normals
 
 PAGE_SIZES = (256, 8192)  # pixels a side: below, padding takes most of a page; above, graphics cards give up
-_SMALL_FACE = 64.0  # texels of area: larger faces are not cross-faded
 _PASSES = 3  # over the photos: candidates, levelling, baking
 
 
@@ -54,17 +56,17 @@ class TextureOptions:
     image_size: int | None = None
     jpeg: bool = False
     level: bool = True
-    memory_gib: float = 2.0
+    memory_gib: float = 1.0
     exclude: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class _Labelling:
-    """Each face's photo `label` (M,) int16, -1 for none; `usable` (M,K) int16, all photos that see it well; `gains`
-    (V,3), the factors that photos' sRGB values are multiplied by."""
+    """Each face's photo `label` (M,) int16, -1 for none; `shares`, how much each photo counts for it; `gains` (V,3),
+    the factors that photos' sRGB values are multiplied by."""
 
     label: np.ndarray
-    usable: np.ndarray
+    shares: Shares
     gains: np.ndarray
 
 
@@ -83,13 +85,13 @@ def texture_mesh(
     neighbours = face_neighbours(mesh.faces)
     labelling = _label(mesh, sources, neighbours, options, reporter)
     layout = _lay_out(mesh, labelling, neighbours, sources, options)
-    nodes = Nodes.of(mesh.faces, labelling.label, len(sources))
-    correction, colours = _level(mesh, sources, labelling, nodes, options, reporter)
-    plan = _plan(mesh, labelling, layout, nodes, correction, colours)
+    colours = _colours(mesh, sources, labelling, reporter)
+    plan = Bake(vertices=mesh.vertices, faces=mesh.faces, shares=labelling.shares,
+                layout=layout, gains=labelling.gains, colours=colours)
     names = _write(folder, _encoded_pages(plan, sources, options, reporter), options)
     uv = layout.corners / layout.size
     uv[..., 1] = 1 - uv[..., 1]
-    return replace(mesh, colours=colours, unseen=labelling.label < 0).with_texture(
+    return replace(mesh, colours=colours, unseen=~labelling.shares.seen).with_texture(
         uv, layout.page, names
     )
 
@@ -104,10 +106,9 @@ def colour_vertices(mesh: Mesh, component: Component, workspace: Path, reporter:
     _check(mesh, options)
     sources = _sources(component, workspace, options, reporter)
     labelling = _label(mesh, sources, face_neighbours(mesh.faces), options, reporter)
-    nodes = Nodes.of(mesh.faces, labelling.label, len(sources))
-    _, colours = _level(mesh, sources, labelling, nodes, options, reporter)
+    colours = _colours(mesh, sources, labelling, reporter)
     reporter.progress(100, 100)
-    return replace(mesh, colours=colours, unseen=labelling.label < 0, uv=None, page=None, pages=())
+    return replace(mesh, colours=colours, unseen=~labelling.shares.seen, uv=None, page=None, pages=())
 
 
 def _check(mesh: Mesh, options: TextureOptions) -> None:
@@ -164,8 +165,9 @@ def _label(
         )
     gains = exposure_gains(candidates, len(sources))
     anchor = mesh.colours[mesh.faces].mean(axis=1).astype(np.uint8)
-    label, usable = choose_photos(candidates, gains, anchor, ~mesh.filled, neighbours)
-    return _Labelling(label, usable, gains if options.level else np.ones_like(gains))
+    label, weight = choose_photos(candidates, gains, anchor, ~mesh.filled, neighbours)
+    shares = Shares(candidates.view, weight, mesh.faces, len(mesh.vertices))
+    return _Labelling(label, shares, gains if options.level else np.ones_like(gains))
 
 
 def _lay_out(
@@ -184,36 +186,25 @@ def _lay_out(
     return layout
 
 
-def _level(
-    mesh: Mesh, sources: list[Source], labelling: _Labelling, nodes: Nodes, options: TextureOptions, reporter: Reporter
-) -> tuple[np.ndarray, np.ndarray]:
-    """Step 4: corrections (P,3) at the nodes, and colours (N,3) uint8 of all vertices, as the photos show them."""
-    colour = np.zeros((len(nodes.vertex), 3), np.float32)
+def _colours(mesh: Mesh, sources: list[Source], labelling: _Labelling, reporter: Reporter) -> np.ndarray:
+    """Step 4: colours (N,3) uint8 of all vertices, as the photos show them or else as what is around them."""
+    total = np.zeros((len(mesh.vertices), 4), np.float32)
     for number, source in enumerate(sources):
         _progress(reporter, (1, 1), number, len(sources))
-        mine = np.flatnonzero(nodes.view == number)
-        picture = images.read_rgb(source.picture) if len(mine) else None
-        if picture is not None:
-            pixels = project(in_camera(mesh.vertices[nodes.vertex[mine]], source.view), source.view.K)
-            colour[mine] = sample(cv2.GaussianBlur(picture, (3, 3), 0), *pixels.T) * labelling.gains[number]
-    correction = level(nodes, colour) if options.level else np.zeros_like(colour)
-    count = np.bincount(nodes.vertex, minlength=len(mesh.vertices))
-    levelled = np.stack([
-        np.bincount(nodes.vertex, values, len(mesh.vertices)) for values in (colour + correction).T
-    ], axis=1) / np.maximum(count, 1)[:, None]
-    colours = diffuse(mesh.faces, levelled, count > 0, mesh.colours)
-    return correction, np.clip(np.rint(colours), 0, 255).astype(np.uint8)
-
-
-def _plan(
-    mesh: Mesh, labelling: _Labelling, layout: Layout, nodes: Nodes, correction: np.ndarray, colours: np.ndarray
-) -> Bake:
-    small = triangle_areas(layout.corners) < _SMALL_FACE
-    second, weight, origin = cross_fade(mesh.faces, labelling.label, labelling.usable, small, len(mesh.vertices))
-    return Bake(
-        vertices=mesh.vertices, faces=mesh.faces, label=labelling.label, second=second, weight=weight, origin=origin,
-        layout=layout, nodes=nodes, correction=correction, gains=labelling.gains, colours=colours,
-    )
+        face, weight = labelling.shares.of(number)
+        if not len(face):
+            continue
+        picture = cv2.GaussianBlur(images.read_rgb(source.picture), (3, 3), 0)
+        corner = mesh.faces[face].ravel()
+        vertex, first = np.unique(corner, return_index=True)
+        pixels = project(in_camera(mesh.vertices[vertex], source.view), source.view.K)
+        colour = sample(picture, *pixels.T) * labelling.gains[number]
+        total[vertex] += weight.ravel()[first, None] * np.column_stack([colour, np.ones(len(vertex))])
+    seen = np.zeros(len(mesh.vertices), bool)
+    seen[mesh.faces[labelling.shares.seen]] = True
+    seen &= total[:, 3] > 0
+    mean = total[:, :3] / np.maximum(total[:, 3:], np.finfo(np.float32).tiny)
+    return np.clip(np.rint(diffuse(mesh.faces, mean, seen, mesh.colours)), 0, 255).astype(np.uint8)
 
 
 def _encoded_pages(plan: Bake, sources: list[Source], options: TextureOptions, reporter: Reporter) -> list[np.ndarray]:

@@ -23,8 +23,9 @@ _LEAST_COSINE = 0.08  # a face seen at a flatter angle (85 degrees from its norm
 
 @dataclass(frozen=True)
 class Seen:
-    """The faces that a camera sees whole. `face` (n,) int64; `centre` (n,2) float32, the centroid's pixel;
+    """The faces whose centroids a camera sees. `face` (n,) int64; `centre` (n,2) float32, the centroid's pixel;
     `cosine` (n,) float32 between the face's normal and the ray; `depth` (n,) float32 z-depth in world units;
+    `whole` (n,) bool, whether nothing at all is before the face, even if it fits the photo less than well;
     `rim` (n,) float32, pixels of the depth buffer to the nearest place where the camera sees no mesh, or to the
     picture's edge."""
 
@@ -32,6 +33,7 @@ class Seen:
     centre: np.ndarray
     cosine: np.ndarray
     depth: np.ndarray
+    whole: np.ndarray
     rim: np.ndarray
 
 
@@ -50,11 +52,11 @@ def project(points: np.ndarray, K: np.ndarray) -> np.ndarray:
 
 
 def visible_faces(vertices: np.ndarray, faces: np.ndarray, view: View) -> Seen:
-    """The faces (M,3) that `view` sees from their front, inside its picture, with nothing of the mesh before them.
+    """The faces (M,3) that `view` sees from their front, inside its picture, with nothing before their centroid.
 
-    Tested at the centroid, at points near the corners and at every pixel that a face covers, against a depth buffer
-    of the mesh whose occluders are widened a little: a photo and the mesh never fit to the last pixel, and what is
-    hidden must not take its occluder's colour.
+    Whether it sees them whole is tested at the centroid, at points near the corners and at every pixel that a face
+    covers, against a depth buffer of the mesh whose occluders are widened a little: a photo and the mesh never fit to
+    the last pixel, and what is hidden must not take its occluder's colour.
     """
     camera = in_camera(vertices, view)
     pixels = project(camera, view.K)
@@ -79,28 +81,32 @@ def visible_faces(vertices: np.ndarray, faces: np.ndarray, view: View) -> Seen:
     pixel_angle = np.float32(1 / view.K[0, 0])
     slack = ((1 + margin) * _SLACK * tangent + 0.5) * pixel_angle + np.float32(_RELATIVE_SLACK)
 
-    def hidden(face: np.ndarray, pixel: np.ndarray, at: np.ndarray) -> np.ndarray:
-        result: np.ndarray = nearest.ravel()[pixel] > at * (1 + slack[face])
+    def hidden(face: np.ndarray, pixel: np.ndarray, at: np.ndarray, depths: np.ndarray = nearest) -> np.ndarray:
+        result: np.ndarray = depths.ravel()[pixel] > at * (1 + slack[face])
         return result
 
-    shown = np.ones(len(candidates), bool)
+    every = np.arange(len(candidates))
+    x, y = corners.mean(axis=1).T.astype(np.int64)
+    shown = ~hidden(every, y * view.width + x, inverse.mean(axis=1), buffer)
+    candidates, corners, inverse, cosine, slack = (
+        values[shown] for values in (candidates, corners, inverse, cosine, slack))
+    whole = np.ones(len(candidates), bool)
     every = np.arange(len(candidates))
     for weights in (np.full(3, 1 / 3), *(np.eye(3) * 0.85 + 0.05)):
         # Inverse depth is linear over the picture, so the weights hold for it and for the pixels alike.
         x, y = (np.einsum("nkc,k->cn", corners, weights)).astype(np.int64)
-        shown &= ~hidden(every, y * view.width + x, inverse @ weights.astype(np.float32))
-    large = np.flatnonzero(shown & (triangle_areas(corners) > 4))
+        whole &= ~hidden(every, y * view.width + x, inverse @ weights.astype(np.float32))
+    large = np.flatnonzero(whole & (triangle_areas(corners) > 4))
     for face, pixel, barycentric in scan_convert(corners[large], view.width, view.height):
         which = large[face]
         at = np.einsum("nk,nk->n", barycentric, inverse[which])
-        shown[which[hidden(which, pixel, at)]] = False
+        whole[which[hidden(which, pixel, at)]] = False
 
-    face, kept = candidates[shown], corners[shown]
-    centre = kept.mean(axis=1).astype(np.float32)
+    centre = corners.mean(axis=1).astype(np.float32)
     surface = np.pad((buffer > 0).astype(np.uint8), 1)
     rim = np.asarray(cv2.distanceTransform(surface, cv2.DIST_L2, 3))[1:-1, 1:-1]
     at = centre.astype(np.int64)
-    return Seen(face, centre, cosine[shown].astype(np.float32), centroid[face, 2], rim[at[:, 1], at[:, 0]])
+    return Seen(candidates, centre, cosine.astype(np.float32), centroid[candidates, 2], whole, rim[at[:, 1], at[:, 0]])
 
 
 def smooth_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
