@@ -22,14 +22,14 @@ _SAMPLES = 4  # a coarse face, about, for each fine one that may lie on it
 def simplified(mesh: Mesh, count: int, scratch: Path, reporter: Reporter) -> Mesh:
     """The mesh with at most `count` faces, by quadric edge collapse; the mesh itself where it has no more.
 
-    Each vertex takes colour, distance and views of the nearest one of the finer mesh. A face is marked (filled, ...)
-    where at least half of the finer surface that it stands for is. UVs and pages are dropped: texture the result
+    Each vertex takes colour, distance and views of the nearest one of the finer mesh. A face is `filled` where at
+    least half of the finer surface that it stands for is. UVs, pages and `unseen` are dropped: texture the result
     anew. `scratch` is a folder for files, which are deleted again. Raises MeshError for a count below 1 or where
     nothing is left, and WorkspaceError for a full disk.
     """
     if count < 1:
         raise MeshError(f"A mesh of {count} faces cannot be made.", remedy="Ask for at least one face.")
-    mesh = replace(mesh, uv=None, page=None, pages=())
+    mesh = replace(mesh, unseen=None, uv=None, page=None, pages=())
     if len(mesh.faces) <= count:
         return mesh
     vertices, faces = simplify(mesh.vertices, mesh.faces, count, scratch, reporter)

@@ -1,0 +1,40 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Meshes with fewer faces, which still know what was measured."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from curecon_blender.core.base.messages import Reporter
+from curecon_blender.core.surface.detail import simplified
+from curecon_blender.core.surface.mesh import MeshError, filled_share
+from tests.test_texturing import box_mesh
+
+
+def test_fewer_faces_keep_the_shape_and_what_was_filled(tmp_path: Path) -> None:
+    mesh = box_mesh()
+    rough = np.random.default_rng(0).normal(0, 0.01, mesh.vertices.shape).astype(np.float32)
+    mesh = replace(mesh, vertices=mesh.vertices + rough)
+    middle = mesh.vertices[mesh.faces].mean(axis=1)
+    mesh = replace(mesh, filled=(middle[:, 2] < 0.05) & (middle[:, 0] > 1.2))
+    coarse = simplified(mesh, 1200, tmp_path, Reporter())
+    assert 900 < len(coarse.faces) <= 1200
+    assert coarse.areas.sum() == pytest.approx(mesh.areas.sum(), rel=0.05)
+    assert filled_share([coarse]) == pytest.approx(filled_share([mesh]), abs=0.02)
+    x, _, z = coarse.vertices[coarse.faces[coarse.filled]].mean(axis=1).T
+    assert coarse.filled.any() and (x > 0.9).all() and (z < 0.1).all()
+    low, high = coarse.vertices.min(axis=0), coarse.vertices.max(axis=0)
+    np.testing.assert_allclose([low, high], [[-3, -3, 0], [3, 3, 1.5]], atol=0.08)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_mesh_with_few_faces_stays_as_it_is(tmp_path: Path) -> None:
+    mesh = box_mesh()
+    assert simplified(mesh, len(mesh.faces), tmp_path, Reporter()).faces is mesh.faces
+    with pytest.raises(MeshError, match="0 faces"):
+        simplified(mesh, 0, tmp_path, Reporter())
