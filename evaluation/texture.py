@@ -4,9 +4,9 @@
 
     python -m evaluation.texture WORKSPACE [--mesh FILE] [--every 8] [--page-size 4096] [--out FOLDER] [--json]
 
-The mesh of the workspace's first component is textured without every n-th view, with and without levelling at the
-seams, and rendered from the views left out, at the size of their undistorted pictures. PSNR (dB) and SSIM count the
-pixels that show a face which is measured and seen; SSIM's 7x7 window may reach beyond them. The photos' exposure
+The mesh of the workspace's first component is textured without every n-th view, with and without levelling of the
+photos' gains, and rendered from the views left out, at the size of their undistorted pictures. PSNR (dB) and SSIM count
+the pixels that show a face which is measured and seen; SSIM's 7x7 window may reach beyond them. The photos' exposure
 differs, so both are also given after one gain for each photo and channel ("matched"). A *seam* is an edge whose two
 faces lie in different charts; its step is the colour difference (CIEDE2000) that one sees across its middle; 1 is just
 noticeable. `--out` keeps renders beside photos.
