@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import IO
 
 from .core.base.errors import NO_MEMORY, Cancelled, CuReconError, OutOfMemory
+from .core.base.language import Text
 from .core.base.messages import (
     Failure,
     Log,
@@ -94,7 +95,7 @@ class Status:
                 self._take_eta(message.eta)
                 self.overall = message.overall
             case Warning():
-                text = message.text if message.photo is None else f"{message.photo}: {message.text}"
+                text = message.text if message.photo is None else Text("{}: {}", message.photo, message.text)
                 self.warnings = [*self.warnings, text][-LAST_WARNINGS:]
                 self.warning_count += 1
             case Result():
@@ -171,7 +172,7 @@ class Job:
             )
         except OSError as error:
             raise WorkerError(
-                f"The worker could not be started with {self._python}: {error.strerror}.",
+                Text("The worker could not be started with {}: {}.", self._python, error.strerror),
                 remedy="Set Worker Python in the add-on's preferences to a Python 3.11 or newer that has torch "
                        "and pycolmap.", path=self._python,
             ) from error
@@ -301,7 +302,7 @@ class Job:
         said = self._said.decode("utf-8", "replace").strip()
         if missing := MISSING_MODULE.search(said):
             error = WorkerError(
-                f"The worker's Python has no module {missing[1]}.",
+                Text("The worker's Python has no module {}.", missing[1]),
                 remedy="Set Worker Python in the add-on's preferences to a Python that has torch and pycolmap.",
             )
         elif DISK_FULL.search(said):
@@ -317,11 +318,11 @@ class Job:
                        "memory budget in the preferences or choose a lower quality.",
             )
         else:
-            last = f" It last said: {said.splitlines()[-1]}" if said else ""
+            last = Text(" It last said: {}", said.splitlines()[-1]) if said else ""
+            again = "Run it again: it goes on from the last finished photo."
             error = WorkerError(
-                f"The worker ended unexpectedly ({_ending(code)}).{last}",
-                remedy="Run it again: it goes on from the last finished photo."
-                       + (f" Its log is {self.log}." if self.log else ""),
+                Text("The worker ended unexpectedly ({}).{}", Text(_ending(code)), last),
+                remedy=Text("{} Its log is {}.", Text(again), self.log) if self.log else again,
             )
         return failure(error)
 

@@ -18,6 +18,7 @@ from PIL import Image
 from curecon_blender.core.adjust import control_files
 from curecon_blender.core.adjust.control import ControlSet
 from curecon_blender.core.base import images
+from curecon_blender.core.base import messages as messages_of_workers
 from curecon_blender.core.base.errors import CuReconError
 from curecon_blender.core.base.language import Language, Text, load, values
 from curecon_blender.core.photos.find import find_photos
@@ -118,3 +119,28 @@ def test_a_text_is_translated_by_its_message_and_keeps_names() -> None:
     assert words.said(Text("{} and {}", Text("walls"), "{}")) == "墙面和{}"  # put together of what is known
     assert words.said("walls") == "walls"  # a name
     assert words.joined([Text("walls"), "x"]) == "墙面x" and Language({}).joined([text, text]) == f"{text} {text}"
+
+
+def test_what_a_worker_says_keeps_its_message_and_names_on_the_way() -> None:
+    photo = "No GPS in the photos.jpg"
+    for text, said in (
+        (Text("{} is damaged or cut short ({}).", photo, Text("the disk is full")),
+         f"{photo} 损坏或不完整（磁盘已满）"),
+        (Text("{} of {} photos lie far from their GPS, against a median of {:.1f} m: {}. Their GPS is wrong, or they "
+              "were joined to the wrong place: check them.", 2, 30, np.float32(4.25), "a.jpg, walls"), "4.2"),
+        (Text("Placement{}: {}", Text(" of part {}", 2), Text("blurred")), "定位（部分 2）：模糊"),
+        (Text("{}: {}", Path("x/y.csv"), Text("Cancelled.")), "x"),
+    ):
+        sent = messages_of_workers.decode(messages_of_workers.encode(messages_of_workers.Warning(text=text)))
+        assert isinstance(sent, messages_of_workers.Warning) and sent.text == text
+        assert said in CHINESE.translated(sent.text) and CHINESE.translated(sent.text) == CHINESE.translated(text)
+    failed = messages_of_workers.Failure(kind="disk", message=Text("No permission to write {}.", "The disk.jpg"),
+                                         remedy=Text("Cancelled."), path="/a b")
+    sent = messages_of_workers.decode(messages_of_workers.encode(failed))
+    assert sent == failed and "The disk.jpg" in CHINESE.translated(sent.message)
+
+
+@pytest.mark.parametrize("text", ['["{} {}", "one"]', "[]", "[1]", '["{0.x}", 1]', '["{:d}", "a"]', "{}"])
+def test_what_is_no_text_is_no_message(text: str) -> None:
+    with pytest.raises(ValueError, match="not a worker message"):
+        messages_of_workers.decode(f'{{"type": "log", "text": {text}}}')

@@ -10,6 +10,7 @@ import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 
 from ..core.base.errors import WorkspaceError
+from ..core.base.language import Text
 from ..scene import render_scene, showreel
 from . import rendering, running
 from .rendering import RenderSeries
@@ -46,7 +47,7 @@ class CURECON_OT_open_presentation(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         folder = rendering.folder_of(context.scene)
         if not folder.is_dir():
-            error = WorkspaceError(f"{folder} is not there yet.", remedy="Render something first.", path=folder)
+            error = WorkspaceError(Text("{} is not there yet.", folder), remedy="Render something first.", path=folder)
             self.report({"ERROR"}, running.explain(error))
             return {"CANCELLED"}
         bpy.ops.wm.path_open(filepath=str(folder))

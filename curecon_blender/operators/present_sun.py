@@ -11,6 +11,7 @@ import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 
 from ..core.base.errors import CuReconError, WorkspaceError
+from ..core.base.language import Text
 from ..core.photos import capture
 from ..core.present import sun
 from ..languages import translated
@@ -79,7 +80,8 @@ def _set_sun(scene: bpy.types.Scene) -> tuple[str, str]:
     azimuth, altitude = sun.position(utc, latitude, longitude)
     if altitude < 0:
         raise WorkspaceError(
-            f"At {taken:%H:%M} on {taken:%d %B %Y} the sun was {-altitude:.0f} degrees below the horizon there.",
+            Text("At {:%H:%M} on {:%d %B %Y} the sun was {:.0f} degrees below the horizon there.", taken, taken,
+                 -altitude),
             remedy="Check the latitude and longitude, or correct the hour under Sun and Sky.",
         )
     daylight.shine(scene, site.box(scene), azimuth, altitude, north)

@@ -15,6 +15,7 @@ import bpy
 from bpy.props import BoolProperty, StringProperty
 
 from ..core.base.errors import SparseError
+from ..core.base.language import Text
 from ..core.base.options import RUN, arguments
 from . import paths, running
 from .import_workspace import bring_in
@@ -90,7 +91,7 @@ class CURECON_OT_import_model(WorkerOperator, bpy.types.Operator):
         folder = Path(bpy.path.abspath(self.directory))
         if not any((folder / f"cameras{ending}").is_file() for ending in (".bin", ".txt")):
             raise SparseError(
-                f"{folder} holds no COLMAP model.",
+                Text("{} holds no COLMAP model.", folder),
                 remedy="Choose the folder that holds cameras, images and points3D as .bin or .txt.", path=folder,
             )
         properties = context.scene.curecon

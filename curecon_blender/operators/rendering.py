@@ -14,6 +14,7 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from ..core.base.errors import CuReconError, WorkspaceError
 from ..core.base.files import PRESENTATION, disk_errors
+from ..core.base.language import Text
 from ..scene import pictures, render_scene, site
 from . import paths, running
 
@@ -157,7 +158,8 @@ class RenderSeries:
                 folder.mkdir(parents=True, exist_ok=True)
             except (FileExistsError, NotADirectoryError) as error:
                 raise WorkspaceError(
-                    f"{folder} cannot be a folder: a file is in the way.", remedy="Choose another folder.", path=folder,
+                    Text("{} cannot be a folder: a file is in the way.", folder),
+                    remedy="Choose another folder.", path=folder,
                 ) from error
         self._scene_name, self._folder, self._checked = scene.name, folder, 0
         self._stage = render_scene.create(scene)

@@ -12,6 +12,7 @@ import bpy
 import numpy as np
 
 from ..core.base.errors import WorkspaceError
+from ..core.base.language import Text
 from ..core.cloud.edits import write_removed
 from . import display, region
 from .display import REMOVED, REMOVED_KEY
@@ -52,7 +53,7 @@ def set_removed(item: bpy.types.Object, which: np.ndarray) -> None:
     require([item, item.data])
     if len(which) != item.data[CLOUD_KEY]:
         raise WorkspaceError(
-            f"{item.name} has lost points to Blender's own tools, which the workspace cannot follow.",
+            Text("{} has lost points to Blender's own tools, which the workspace cannot follow.", item.name),
             remedy="Import the workspace again, then take points out here.",
         )
     _keep(item.data, which)

@@ -18,6 +18,7 @@ from mathutils import Matrix
 
 from ..core.base.errors import WorkspaceError
 from ..core.base.files import disk_errors
+from ..core.base.language import Text
 from ..core.base.reading import build
 from ..core.base.records import GeoPosition
 from ..core.cloud.ply import CloudWriter, read_cloud
@@ -67,14 +68,14 @@ def export_surfaces(
     """
     if not path.parent.is_dir():
         raise WorkspaceError(
-            f"{path.parent} is not a folder.", remedy="Choose a folder that is there.", path=path.parent
+            Text("{} is not a folder.", path.parent), remedy="Choose a folder that is there.", path=path.parent
         )
     about = {item.name: _provenance(item, choices) for item in items}
     images = {name: image for item in items for name, image in surface.page_images(item).items()}
     for image in images.values():
         if image.packed_file is None and not _file_of(image).is_file():
             raise WorkspaceError(
-                f"The texture {_file_of(image)} is missing.", path=_file_of(image),
+                Text("The texture {} is missing.", _file_of(image)), path=_file_of(image),
                 remedy="Import the workspace again, or run Texture again.",
             )
     note = ""
@@ -102,7 +103,7 @@ def export_cloud(item: bpy.types.Object, path: Path, choices: Choices) -> Export
     source = Path(item.data[cloud_edits.FILE_KEY])
     if not source.is_file() or len(item.data.points) != item.data[points.CLOUD_KEY]:
         raise WorkspaceError(
-            f"The file of {item.name}, {source}, is gone or has other points.", path=source,
+            Text("The file of {}, {}, is gone or has other points.", item.name, source), path=source,
             remedy="Import its workspace again, then export.",
         )
     with disk_errors(path):
@@ -209,7 +210,7 @@ def _provenance(item: bpy.types.Object, choices: Choices) -> Provenance:
                 origin = placing.world_origin(part)
         except ValueError as error:
             raise WorkspaceError(
-                f"The GPS position of {item.name} is none ({error}).",
+                Text("The GPS position of {} is none ({}).", item.name, Text(str(error))),
                 remedy="Untick GPS Position, or import the workspace again.",
             ) from error
     return Provenance(
@@ -246,7 +247,7 @@ def _run(operator: bpy.types.Operator, path: Path, **arguments: object) -> None:
     except RuntimeError as error:  # what Blender makes of an operator's error report
         last = str(error).strip().splitlines()[-1]
         raise WorkspaceError(
-            f"Blender could not export the surface: {last}",
+            Text("Blender could not export the surface: {}", Text(last)),
             remedy="Check the free space of the disk and the folder's permissions, or try another format.", path=path,
         ) from error
 
@@ -258,7 +259,7 @@ def _only(context: bpy.types.Context, items: list[bpy.types.Object]) -> Iterator
     outside = [item.name for item in items if item.name not in layer.objects]
     if outside:
         raise WorkspaceError(
-            f"{', '.join(outside)} is in a collection that the view layer leaves out.",
+            Text("{} is in a collection that the view layer leaves out.", ', '.join(outside)),
             remedy="Tick that collection in the Outliner, then export again.",
         )
     if context.mode != "OBJECT":

@@ -9,6 +9,7 @@ import numpy as np
 from mathutils import Matrix
 
 from ..core.base.errors import PlanError
+from ..core.base.language import Text
 from ..core.base.records import GeoPosition
 from ..core.plan import coverage, site
 from ..core.plan.drones import DRONES
@@ -51,7 +52,7 @@ def building_of(scene: bpy.types.Scene) -> tuple[Building, float]:
                         "building.")
     places = _places(item)
     if len(places) < 3:
-        raise PlanError(f"{item.name} has no shape.", remedy="Choose a cloud, a mesh or a curve.")
+        raise PlanError(Text("{} has no shape.", item.name), remedy="Choose a cloud, a mesh or a curve.")
     court = None if properties.court is None else _places(properties.court)[:, :2]
     origin = _origin(scene, properties.position)
     if points.is_cloud(item) or len(places) > 10_000:
@@ -121,10 +122,10 @@ def _origin(scene: bpy.types.Scene, typed: str) -> GeoPosition | None:
         try:
             latitude, longitude = (float(part) for part in typed.replace(";", ",").split(","))
         except ValueError as error:
-            raise PlanError(f"{typed} is not a latitude and a longitude.",
+            raise PlanError(Text("{} is not a latitude and a longitude.", typed),
                             remedy="Type both in degrees with a comma between them: 24.6581, 117.0523.") from error
         if not (abs(latitude) <= 90 and abs(longitude) <= 180):
-            raise PlanError(f"{typed} is no place on Earth.", remedy="Latitude comes first, then longitude.")
+            raise PlanError(Text("{} is no place on Earth.", typed), remedy="Latitude comes first, then longitude.")
         return GeoPosition(latitude=latitude, longitude=longitude, altitude=None)
     for part in frame.parts_of(scene):
         found = part.reconstructed

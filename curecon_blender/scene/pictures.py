@@ -9,16 +9,17 @@ from pathlib import Path
 import bpy
 
 from ..core.base.errors import PhotoError
+from ..core.base.language import Text
 
 
 def show(context: bpy.types.Context, path: Path) -> None:
     """Show a photo in an Image Editor that is open, else in a window of its own. Raises PhotoError when it is gone."""
     if not path.is_file():
-        raise PhotoError(f"{path} is gone.", remedy="Check the photos again.", path=path)
+        raise PhotoError(Text("{} is gone.", path), remedy="Check the photos again.", path=path)
     try:
         picture = bpy.data.images.load(str(path), check_existing=True)
     except RuntimeError as error:
-        raise PhotoError(f"Blender cannot read {path}.", remedy="Check the photos again.", path=path) from error
+        raise PhotoError(Text("Blender cannot read {}.", path), remedy="Check the photos again.", path=path) from error
     _image_editor(context).image = picture
 
 

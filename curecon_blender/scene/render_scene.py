@@ -19,6 +19,7 @@ from mathutils import Matrix
 
 from ..core.base.errors import CuReconError
 from ..core.base.files import disk_errors
+from ..core.base.language import Text
 from ..core.present.camera_path import CameraPath
 from . import flight, presentation, site, surface
 from .surface import surfaces_of
@@ -220,9 +221,9 @@ def check(stage: bpy.types.Scene, shot: Shot) -> None:
     """Make sure that a shot is what was asked for: by its camera, of its size or length. Raises RenderError."""
     remedy = "Check the disk's free space and the folder's permissions, and switch off add-ons that change renders."
     if not shot.file.is_file():
-        raise RenderError(f"Blender could not write {shot.file}.", remedy=remedy, path=shot.file)
+        raise RenderError(Text("Blender could not write {}.", shot.file), remedy=remedy, path=shot.file)
     if stage.camera is None or stage.camera.name != shot.camera:
-        raise RenderError(f"{shot.file} was drawn by another camera.", remedy=remedy, path=shot.file)
+        raise RenderError(Text("{} was drawn by another camera.", shot.file), remedy=remedy, path=shot.file)
     if shot.frames == 1:
         found = struct.unpack(">II", shot.file.read_bytes()[16:24])
         fits = found == shot.size
@@ -231,7 +232,7 @@ def check(stage: bpy.types.Scene, shot: Shot) -> None:
         fits = clip.frame_duration == shot.frames
         bpy.data.movieclips.remove(clip)
     if not fits:
-        raise RenderError(f"{shot.file} is of another size than was asked for.", remedy=remedy, path=shot.file)
+        raise RenderError(Text("{} is of another size than was asked for.", shot.file), remedy=remedy, path=shot.file)
 
 
 def add_still(

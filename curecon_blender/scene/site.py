@@ -12,6 +12,7 @@ from mathutils import Vector
 
 from ..core.base.errors import SurfaceError
 from ..core.base.ground import LEVEL, lowest_wide_level
+from ..core.base.language import Text
 from ..core.site import footprint
 from ..core.site.adjustment import FrameError
 from . import points, surface
@@ -90,7 +91,7 @@ def box(scene: bpy.types.Scene, turned_by: float = 0.0) -> Box:
         )
     places = points.subject(item)
     if not len(places):
-        raise SurfaceError(f"{item.name} is empty.", remedy="Import its workspace again.")
+        raise SurfaceError(Text("{} is empty.", item.name), remedy="Import its workspace again.")
     direction, is_round = _direction_of(item)
     turn = turned_by + direction
     plan = footprint.turned(places[:, :2], turn)
@@ -148,7 +149,7 @@ def ground(cloud: bpy.types.Object, world_from_cloud: np.ndarray) -> float:
     level = heights[up > LEVEL]
     if not len(level):
         raise FrameError(
-            f"Nothing level was measured in {cloud.name}.", remedy="Level the site first, or move it by hand.")
+            Text("Nothing level was measured in {}.", cloud.name), remedy="Level the site first, or move it by hand.")
     return lowest_wide_level(heights, level)
 
 

@@ -17,6 +17,7 @@ import bpy
 import numpy as np
 
 from ..core.base.errors import WorkspaceError
+from ..core.base.language import Text
 from ..core.surface.mesh import Mesh
 from ..core.surface.triangles import face_normals, mesh_edges
 from .points import COLOUR, SUBJECT_SAMPLE, fill, linear, linear_colours, positions
@@ -39,11 +40,12 @@ def pictures(mesh: Mesh, file: Path) -> list[Path]:
     for path in paths:
         if not path.is_file():
             raise WorkspaceError(
-                f"The texture {path} is missing.", remedy="Run Texture again in this workspace.", path=path
+                Text("The texture {} is missing.", path), remedy="Run Texture again in this workspace.", path=path
             )
     if mesh.page is not None and len(mesh.page) and not -1 <= mesh.page.min() <= mesh.page.max() < len(paths):
         raise WorkspaceError(
-            f"{file} is damaged: a face names a texture that is not there.", remedy="Run Texture again.", path=file
+            Text("{} is damaged: a face names a texture that is not there.", file),
+            remedy="Run Texture again.", path=file
         )
     return paths
 

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 import bpy
 
 from ..core.base.errors import CuReconError
+from ..core.base.language import Text
 
 
 class LinkedError(CuReconError):
@@ -27,7 +28,8 @@ def require(blocks: Iterable[bpy.types.ID | None]) -> None:
         library = block.library or (override.reference.library if override is not None and override.reference else None)
         if library is not None:
             raise LinkedError(
-                f"{block.name} is linked from {library.filepath}: a change would be lost, and nothing was changed.",
+                Text("{} is linked from {}: a change would be lost, and nothing was changed.", block.name,
+                     library.filepath),
                 remedy="Open that .blend and do it there, or make it local first (Object > Relations > Make Local).",
                 path=library.filepath,
             )

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pycolmap
 
+from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.records import Frame, GeoPosition, Photo, PhotoSet
 from ..sparse.models import ADJUSTED, MAPPED, find_models, listed, read_model, write_components
@@ -85,8 +86,8 @@ def adjust_cameras(photo_set: PhotoSet, workspace: Path, reporter: Reporter) -> 
     located = sum(photo.gps is not None for photo in photos.values())
     if unfixed := _unfixed(photos):
         reporter.warning(
-            f"Only {located - len(unfixed)} of {located} photos have an RTK fix; the positions of the others count as "
-            "those of an ordinary receiver."
+            Text("Only {} of {} photos have an RTK fix; the positions of the others count as those of an ordinary "
+                 "receiver.", located - len(unfixed), located)
         )
     folders = find_models(workspace / MAPPED)
     components: list[tuple[pycolmap.Reconstruction, dict[str, Any]]] = []
@@ -122,11 +123,11 @@ def _placed(
     scale_sigma = float(adjusted.precision.datum_sigmas[6]) if adjusted else 0.0
     doubt = bending.doubt(accuracy.domes, accuracy.focal_sigma, scale_sigma)
     if doubt:
-        reporter.warning(f"{doubt} {bending.REMEDY}")
+        reporter.warning(Text("{} {}", Text(doubt), Text(bending.REMEDY)))
     if accuracy.shutter_shift is not None and accuracy.shutter_shift > bending.MOST_SHIFT:
         reporter.warning(
-            f"The drone flew while its photos were read out row by row: by about {accuracy.shutter_shift:.1f} pixels. "
-            "That bends the model a little. Fly slower, or stop for each photo."
+            Text("The drone flew while its photos were read out row by row: by about {:.1f} pixels. That bends the "
+                 "model a little. Fly slower, or stop for each photo.", accuracy.shutter_shift)
         )
     return replace(placement.frame, doubt=doubt), accuracy, adjusted.precision if adjusted else None
 
@@ -242,8 +243,8 @@ def adjust_model(
     """
     if model.num_reg_images() > MOST_PHOTOS:
         reporter.warning(
-            f"The cameras are those of the mapper, not adjusted to GPS and calibration: that is for up to "
-            f"{MOST_PHOTOS:,} photos. Heights may be wrong if all photos look straight down from one height."
+            Text("The cameras are those of the mapper, not adjusted to GPS and calibration: that is for up to {:,} "
+                 "photos. Heights may be wrong if all photos look straight down from one height.", MOST_PHOTOS)
         )
         return None
     for best in (MAKER, FOCAL, NOTHING):
@@ -325,16 +326,16 @@ def _unfixed(photos: Mapping[str, Photo]) -> set[str]:
 
 def _warn_of_gps(placement: Placement, photos: int, unfixed: set[str], index: int, reporter: Reporter) -> None:
     """Tell of photos far from their GPS; of those that lost their RTK fix the user knows already."""
-    part = "" if index == 0 else f" of part {index + 1}"
+    part = "" if index == 0 else Text(" of part {}", index + 1)
     if placement.frame.scale == "unknown":
-        reporter.warning(f"Placement{part}: {placement.frame.note}")
+        reporter.warning(Text("Placement{}: {}", Text(part), Text(placement.frame.note)))
         return
     residual = placement.frame.gps_residual or 0.0
     if residual > BENT:
         reporter.warning(
-            f"The camera positions{part} lie {residual:.1f} m (median) and up to "
-            f"{max(placement.gps_residuals.values()):.1f} m from the GPS of their {photos} photos: the model may be "
-            "bent, or the GPS poor. Do not trust measurements; photos from more heights and directions help."
+            Text("The camera positions{} lie {:.1f} m (median) and up to {:.1f} m from the GPS of their {} photos: "
+                 "the model may be bent, or the GPS poor. Do not trust measurements; photos from more heights and "
+                 "directions help.", Text(part), residual, max(placement.gps_residuals.values()), photos)
         )
     distances = {
         name: distance for name, distance in sorted(placement.gps_residuals.items(), key=lambda x: -x[1])
@@ -345,13 +346,14 @@ def _warn_of_gps(placement: Placement, photos: int, unfixed: set[str], index: in
         if len(along) >= FEWEST_ALONG:
             by = np.median([distances.pop(name) for name in along])
             reporter.warning(
-                f"{len(along)} of {photos} photos{part} stand too {way} the site by {by:.0f} m, along their line of "
-                f"sight: {listed(along)}. Their focal length is not what their metadata say (zoom, another lens, a "
-                "crop); their GPS may be right. Leave them out, or use them without the other photos."
+                Text("{} of {} photos{} stand too {} the site by {:.0f} m, along their line of sight: {}. Their "
+                     "focal length is not what their metadata say (zoom, another lens, a crop); their GPS may be "
+                     "right. Leave them out, or use them without the other photos.", len(along), photos, Text(part),
+                     Text(way), by, listed(along))
             )
     far = [f"{name} ({distance:.0f} m)" for name, distance in distances.items()]
     if far:
         reporter.warning(
-            f"{len(far)} of {photos} photos lie far from their GPS, against a median of {residual:.1f} m: "
-            f"{listed(far)}. Their GPS is wrong, or they were joined to the wrong place: check them."
+            Text("{} of {} photos lie far from their GPS, against a median of {:.1f} m: {}. Their GPS is wrong, or "
+                 "they were joined to the wrong place: check them.", len(far), photos, residual, listed(far))
         )

@@ -18,6 +18,7 @@ import numpy as np
 from ..base.errors import ControlError, WorkspaceError
 from ..base.files import disk_errors, write_json
 from ..base.geodesy import geodetic_to_enu, gps_enu
+from ..base.language import Text
 from ..base.reading import FARTHEST, OneOf, Within, build, parse_json, read_json
 from ..base.records import GeoPosition, Photo
 from ..photos.record import photo_finder
@@ -139,7 +140,7 @@ class ControlSet:
         if len({point.system == LOCAL for point in changed.points}) > 1:
             one = next(point.name for point in changed.points if point.system == LOCAL)
             raise ControlError(
-                f"{one} is in local metres and other points are on Earth: one site has one kind of coordinates.",
+                Text("{} is in local metres and other points are on Earth: one site has one kind of coordinates.", one),
                 remedy="Remove the points of the other kind, or convert them.",
             )
         return changed
@@ -180,7 +181,7 @@ def read_control(workspace: Path) -> ControlSet:
         return ControlSet()
     except (OSError, ValueError) as error:
         raise WorkspaceError(
-            f"{path} is damaged ({error}).", path=path,
+            Text("{} is damaged ({}).", path, Text(str(error))), path=path,
             remedy="Delete that file, then import the control points again.",
         ) from error
 
@@ -242,8 +243,8 @@ def resolved(control: ControlSet, photos: Iterable[Photo], lines: Lines) -> tupl
             missing.setdefault(mark.photo, []).append(where)
         elif not (0 <= mark.x <= photo.width and 0 <= mark.y <= photo.height):
             raise ControlError(
-                f"{where}: {mark.point} is marked at {mark.x:g}, {mark.y:g} in {mark.photo}, which has "
-                f"{photo.width} x {photo.height} pixels.",
+                Text("{}: {} is marked at {:g}, {:g} in {}, which has {} x {} pixels.", Text(where), mark.point, mark.x,
+                     mark.y, mark.photo, photo.width, photo.height),
                 remedy="Marks count in pixels of the photo as it is displayed, from its upper left corner: correct or "
                 "remove that one. If all are so, the photos were scaled or turned after they were marked.",
             )
@@ -262,7 +263,7 @@ def resolved(control: ControlSet, photos: Iterable[Photo], lines: Lines) -> tupl
         warnings.append(f"{len(missing) - 5} further photos that the control file names are not in this job.")
     if control.marks and not kept:
         raise ControlError(
-            f"None of the marked photos is in this job: {', '.join(list(missing)[:3])} ...",
+            Text("None of the marked photos is in this job: {} ...", ', '.join(list(missing)[:3])),
             remedy="Choose the folder with the photos that were marked; their file names must agree.",
         )
     return replace(ControlSet(points=control.points, positions=tuple(positions)).with_marks(kept)), warnings
@@ -287,8 +288,9 @@ def check_places(control: ControlSet, photos: Iterable[Photo], lines: Lines) -> 
             where = lines.get(name, "The control points")
             guess = mistaken_for(item.given, item.system, middle) if isinstance(item, ControlPoint) else ""
             raise ControlError(
-                f"{where}: {name} lies {off / 1000:,.0f} km from the photos' GPS. It is at latitude {latitude:.5f}, "
-                f"longitude {longitude:.5f}; expected was about {middle.latitude:.5f}, {middle.longitude:.5f}.",
+                Text("{}: {} lies {:,.0f} km from the photos' GPS. It is at latitude {:.5f}, longitude {:.5f}; "
+                     "expected was about {:.5f}, {:.5f}.", Text(where), name, off / 1000, latitude, longitude,
+                     middle.latitude, middle.longitude),
                 remedy=guess or "Check that line, and the system of coordinates that the file is in.",
             )
         if altitude is not None and middle.altitude is not None and abs(altitude - middle.altitude) > FAR_UP:

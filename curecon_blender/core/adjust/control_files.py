@@ -17,6 +17,7 @@ import numpy as np
 from ..base.errors import ControlError
 from ..base.files import atomic_write
 from ..base.geodesy import gps_enu
+from ..base.language import Text
 from ..base.records import GeoPosition, Photo
 from .control import (
     CHECK,
@@ -60,7 +61,7 @@ def import_files(
     photos = tuple(photos)
     named = ""
     if system and not (named := system_named(system) or ""):
-        raise ControlError(f"{system} is no known system of coordinates.",
+        raise ControlError(Text("{} is no known system of coordinates.", system),
                            remedy="Write it as WGS84, UTM 16N, EPSG:2180 or local.")
     located = [photo for photo in photos if photo.gps is not None]
     middle = gps_enu(located)[1] if located else None
@@ -70,7 +71,8 @@ def import_files(
     for mark in found.marks:
         if mark.point not in found.points and kept.point(mark.point) is None:
             raise ControlError(
-                f"{found.lines[mark.point, mark.photo]}: {mark.point} is marked, but its coordinates are in no file.",
+                Text("{}: {} is marked, but its coordinates are in no file.", Text(found.lines[mark.point, mark.photo]),
+                     mark.point),
                 remedy="Import the file with the points' coordinates as well, or first.",
             )
     new = ControlSet(points=tuple(found.points.values()), positions=tuple(found.positions)).with_marks(found.marks)
@@ -101,16 +103,17 @@ def _take_places(table: Table, system: str, middle: GeoPosition | None, found: _
     try:
         system = table.system or system or guess_system(plan, by_axes=table.by_axes, middle=middle)
     except ControlError as error:
-        raise ControlError(f"{table.where(table.rows[0][0])}: {error.message}", remedy=error.remedy,
+        raise ControlError(Text("{}: {}", Text(table.where(table.rows[0][0])), error.message), remedy=error.remedy,
                            path=table.path) from error
     if system == WGS84 and table.by_axes:
         plan = plan[:, ::-1]
     if (most := np.abs(plan).max()) > (FARTHEST_LOCAL if system == LOCAL else 1e8):
         line = table.rows[int(np.abs(plan).max(axis=1).argmax())][0]
         raise ControlError(
-            f"{table.where(line)}: the coordinate {most:.10g} is too large for {system}.", path=table.path,
-            remedy=f"Local coordinates must lie within {FARTHEST_LOCAL / 1000:g} km of their origin: take the same "
-            "round number off all of them, or name the system that they are in.",
+            Text("{}: the coordinate {:.10g} is too large for {}.", Text(table.where(line)), most,
+                 system), path=table.path,
+            remedy=Text("Local coordinates must lie within {:g} km of their origin: take the same round number off "
+                        "all of them, or name the system that they are in.", FARTHEST_LOCAL / 1000),
         )
     places = to_places(system, np.column_stack([plan, [np.nan if h is None else h for h in heights]]))
     _check_on_earth(table, system, places)
@@ -136,7 +139,8 @@ def _take_point(table: Table, line: int, point: ControlPoint, found: _Found) -> 
         off = np.abs(np.subtract(before.given[:2], point.given[:2])).max()
         if off > step or abs((before.given[2] or 0) - (point.given[2] or 0)) > SAME[0]:
             raise ControlError(
-                f"{table.where(line)}: {point.name} has other coordinates than in {found.lines[point.name]}.",
+                Text("{}: {} has other coordinates than in {}.", Text(table.where(line)), point.name,
+                     Text(found.lines[point.name])),
                 remedy="Two points need two names: correct one of the two lines.", path=table.path,
             )
         return
@@ -150,7 +154,8 @@ def _take_position(
 ) -> None:
     photo = _text(cells, "photo")
     if photo in found.lines:
-        raise ControlError(f"{table.where(line)}: {photo} has a position in {found.lines[photo]} already.",
+        raise ControlError(Text("{}: {} has a position in {} already.", Text(table.where(line)), photo,
+                                Text(found.lines[photo])),
                            remedy="Remove one of the two lines.", path=table.path)
     found.positions.append(PhotoPosition(photo=photo, place=place, sigma_plan=sigmas[0], sigma_height=sigmas[1]))
     found.lines[photo] = table.where(line)
@@ -159,16 +164,18 @@ def _take_position(
 def _take_mark(table: Table, line: int, cells: dict[str, str], name: str, found: _Found) -> None:
     photo = _text(cells, "photo")
     if not is_point_name(name):
-        raise ControlError(f"{table.where(line)}: the mark has no point's name.", path=table.path,
+        raise ControlError(Text("{}: the mark has no point's name.", Text(table.where(line))), path=table.path,
                            remedy="Write the point's name into that line.")
     if (name, photo) in found.lines:
         raise ControlError(
-            f"{table.where(line)}: {name} is marked in {photo} a second time, after {found.lines[name, photo]}.",
+            Text("{}: {} is marked in {} a second time, after {}.", Text(table.where(line)), name, photo,
+                 Text(found.lines[name, photo])),
             remedy="Remove one of the two lines.", path=table.path,
         )
     x, y = (_needed(table, line, cells, axis) for axis in ("px", "py"))
     if max(abs(x), abs(y)) > 1e6:
-        raise ControlError(f"{table.where(line)}: {name} is marked at {x:g}, {y:g}, which is in no photo.",
+        raise ControlError(Text("{}: {} is marked at {:g}, {:g}, which is in no photo.", Text(table.where(line)), name,
+                                x, y),
                            remedy="Marks count in pixels, from the photo's upper left corner.", path=table.path)
     sigma = _number(table, line, cells, "sigma_pixels") or float(_extra(cells, "px") or MARK_SIGMA)
     found.marks.append(Mark(point=name, photo=photo, x=x, y=y, sigma=min(max(sigma, 0.01), 1000.0)))
@@ -185,7 +192,8 @@ def _point_name(
         name = same or f"gcp{len(found.points) + 1}"
         found.lines["", str(line)] = name
     if not is_point_name(name):
-        raise ControlError(f"{table.where(line)}: the point has no name, or one that is too long.", path=table.path,
+        raise ControlError(Text("{}: the point has no name, or one that is too long.",
+                                Text(table.where(line))), path=table.path,
                            remedy="Write a short name into that line.")
     return name
 
@@ -200,12 +208,14 @@ def _sigmas(table: Table, line: int, cells: dict[str, str]) -> tuple[float | Non
     stated = [value for value in (both, *plan, height) if value is not None]
     if any(value <= 0 for value in stated):
         raise ControlError(
-            f"{table.where(line)}: an accuracy of {min(stated):g} m. Nothing is measured without an error.",
-            remedy=f"Write how far the point may be off, such as {USUAL_SIGMAS[0]} m, or leave it empty.",
+            Text("{}: an accuracy of {:g} m. Nothing is measured without an error.", Text(table.where(line)),
+                 min(stated)),
+            remedy=Text("Write how far the point may be off, such as {} m, or leave it empty.", USUAL_SIGMAS[0]),
             path=table.path,
         )
     if any(value > 1e4 for value in stated):
-        raise ControlError(f"{table.where(line)}: an accuracy of {max(stated):g} m says nothing.", path=table.path,
+        raise ControlError(Text("{}: an accuracy of {:g} m says nothing.", Text(table.where(line)),
+                                max(stated)), path=table.path,
                            remedy="Accuracies are in metres: correct that one.")
     known = [value for value in plan if value is not None]
     plan_sigma = max(known) if known else both
@@ -235,7 +245,8 @@ def _text(cells: dict[str, str], name: str) -> str:
 def _needed(table: Table, line: int, cells: dict[str, str], name: str) -> float:
     value = _number(table, line, cells, name)
     if value is None:
-        raise ControlError(f"{table.where(line)}: the column for {_WORDS[name]} is empty or missing.", path=table.path,
+        raise ControlError(Text("{}: the column for {} is empty or missing.", Text(table.where(line)),
+                                Text(_WORDS[name])), path=table.path,
                            remedy="Complete that line, or remove it.")
     return value
 
@@ -249,7 +260,7 @@ def _number(table: Table, line: int, cells: dict[str, str], name: str) -> float 
         return number_in(cells.get(name, ""))
     except ValueError as error:
         raise ControlError(
-            f"{table.where(line)}: {error}.", path=table.path,
+            Text("{}: {}.", Text(table.where(line)), Text(str(error))), path=table.path,
             remedy="Correct that line. Columns are parted by commas, semicolons, tabs or spaces; with decimal commas, "
             "by semicolons or tabs.",
         ) from error
@@ -265,7 +276,8 @@ def _check_on_earth(table: Table, system: str, places: np.ndarray) -> None:
     latitude, longitude = places[row, :2]
     exchanged = abs(longitude) <= 90 and abs(latitude) <= 180
     raise ControlError(
-        f"{table.where(table.rows[row][0])}: latitude {latitude:.6g}, longitude {longitude:.6g} is no place on Earth.",
+        Text("{}: latitude {:.6g}, longitude {:.6g} is no place on Earth.", Text(table.where(table.rows[row][0])),
+             latitude, longitude),
         remedy="Latitude and longitude look exchanged: exchange the two columns." if exchanged else
         "The coordinates are not in degrees: name the system that they are in, such as UTM 50N.", path=table.path,
     )

@@ -16,6 +16,7 @@ import pycolmap
 from ..base.errors import ControlError
 from ..base.files import write_json
 from ..base.geodesy import enu_to_geodetic
+from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.records import Frame, GeoPosition, Photo, PhotoSet
 from ..sparse.models import ADJUSTED, find_models, read_model
@@ -167,7 +168,7 @@ def _fit(marked: np.ndarray, given: np.ndarray) -> pycolmap.Sim3d:
         _, mirrored = _least_median(marked, given[:, [1, 0, 2]])
         exchanged = float(np.median(mirrored)) < 0.25 * float(np.median(off))
         raise ControlError(
-            f"The control points do not fit their marks: {np.median(off):.2f} m off over {spread:.1f} m.",
+            Text("The control points do not fit their marks: {:.2f} m off over {:.1f} m.", np.median(off), spread),
             remedy="East and north (x and y) look exchanged: exchange the two columns and import again." if exchanged
             else "Check that every mark is on its own point, and that all coordinates are of one system.",
         )

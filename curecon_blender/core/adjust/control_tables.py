@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..base.errors import ControlError
+from ..base.language import Text
 from ..base.reading import read_bytes
 from .coordinates import LOCAL, WGS84, system_named
 
@@ -66,12 +67,12 @@ def read_table(path: Path) -> Table:
         elif not comment:
             body.append((number, line))
     if not body:
-        raise ControlError(f"{path.name} holds no points.", path=path,
+        raise ControlError(Text("{} holds no points.", path.name), path=path,
                            remedy="Choose a file with one point or one mark a line.")
     first = body[0][1]
     if header is None and not system and (first.startswith("+") or first.lower().startswith(("epsg", "wgs"))):
         raise ControlError(
-            f"{path.name}, line {body[0][0]}: the system {first[:60]} is not known.", path=path,
+            Text("{}, line {}: the system {} is not known.", path.name, body[0][0], first[:60]), path=path,
             remedy="Write it as WGS84 UTM 16N, EPSG:4326 or EPSG:2180.",
         )
     split = _splitter(path, [line for _, line in body])
@@ -100,17 +101,17 @@ def _lines(path: Path) -> list[tuple[int, str]]:
     try:
         content = read_bytes(path, MOST_BYTES)
     except (OSError, ValueError) as error:
-        raise ControlError(f"{path} cannot be read ({error}).", path=path,
+        raise ControlError(Text("{} cannot be read ({}).", path, Text(str(error))), path=path,
                            remedy="Choose a text file with control points.") from error
     text = _decoded(content)
     if text is None or "\0" in text:
         raise ControlError(
-            f"{path.name} is no text file.", path=path,
+            Text("{} is no text file.", path.name), path=path,
             remedy="Save the points as CSV or as plain text; a table of a spreadsheet program must be exported first.",
         )
     lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
     if len(lines) > MOST_ROWS:
-        raise ControlError(f"{path.name} has more than {MOST_ROWS:,} lines.", path=path,
+        raise ControlError(Text("{} has more than {:,} lines.", path.name, MOST_ROWS), path=path,
                            remedy="Choose the file with the control points; a cloud's points are too many.")
     return lines
 
@@ -175,7 +176,8 @@ def _splitter(path: Path, lines: list[str]) -> Callable[[str], list[str]]:
     rows = [_cells(line, ",") for line in sample]
     if all(len(row) in (7, 9, 11) and all(re.fullmatch(r"[+-]?\d+", cell) for cell in row[1:]) for row in rows):
         raise ControlError(
-            f"{path.name} has commas between its columns and in its numbers, which cannot be told apart.", path=path,
+            Text("{} has commas between its columns and in its numbers, which cannot be told apart.",
+                 path.name), path=path,
             remedy="Save it with semicolons between the columns, or with points in the numbers.",
         )
     return lambda line: _cells(line, ",")
@@ -210,7 +212,7 @@ def _layout(path: Path, rows: list[tuple[int, list[str]]], says_system: bool) ->
     if len(cells) >= 3 and all(numbers[1:3]):
         return ["name", "east", "north", "height", "sigma_plan", "sigma_height"]
     raise ControlError(
-        f"{path.name}, line {number}: this is no point and no mark: {' '.join(cells)[:60]}", path=path,
+        Text("{}, line {}: this is no point and no mark: {}", path.name, number, ' '.join(cells)[:60]), path=path,
         remedy="A point is name,x,y,z and a mark photo,name,x,y; ODM's lines are x y z px py photo name. A first line "
         "may name the columns.",
     )

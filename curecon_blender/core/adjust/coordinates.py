@@ -14,6 +14,7 @@ import numpy as np
 
 from ..base.errors import ControlError
 from ..base.geodesy import geodetic_to_enu, geodetic_to_utm, utm_to_geodetic, utm_zone
+from ..base.language import Text
 from ..base.records import GeoPosition
 
 LOCAL, WGS84 = "local", "WGS84"
@@ -76,7 +77,7 @@ def _by_pyproj(system: str, given: np.ndarray) -> np.ndarray:
         from pyproj.exceptions import CRSError, ProjError
     except ImportError as error:
         raise ControlError(
-            f"Coordinates in {system} need the library pyproj, which this Python does not have.",
+            Text("Coordinates in {} need the library pyproj, which this Python does not have.", system),
             remedy="Convert them to latitude and longitude or to UTM; or install pyproj in the Worker Python (pip "
             "install pyproj) and import the file there: python -m curecon_blender.core control WORKSPACE --import FILE",
         ) from error
@@ -86,7 +87,7 @@ def _by_pyproj(system: str, given: np.ndarray) -> np.ndarray:
         longitude, latitude = transform.transform(given[:, 0], given[:, 1], errcheck=True)
     except (CRSError, ProjError) as error:
         raise ControlError(
-            f"The coordinates cannot be read in {system} ({str(error).splitlines()[0]}).",
+            Text("The coordinates cannot be read in {} ({}).", system, Text(str(error).splitlines()[0])),
             remedy="Check the name of the system, such as EPSG:2180, and the order of the columns: east, then north.",
         ) from error
     # A grid in feet has its heights in feet, too.
@@ -113,12 +114,13 @@ def guess_system(plan: np.ndarray, *, by_axes: bool, middle: GeoPosition | None)
     if middle is not None:
         for system, said in _candidates(middle):
             if _near(system, (degrees if system == WGS84 else plan)[:, ::-1], middle):
-                raise ControlError(f"East and north, or latitude and longitude, are exchanged: {said}.",
+                raise ControlError(Text("East and north, or latitude and longitude, are exchanged: {}.", Text(said)),
                                    remedy="Exchange the two columns, or name them in a first line.")
     there = [] if middle is None else [said for _, said in _candidates(middle)[:2]]
     expected = f" The photos lie at {' or '.join(there)}." if there else ""
     raise ControlError(
-        f"The system of the coordinates cannot be told ({plan[0, 0]:.2f}, {plan[0, 1]:.2f}).{expected}",
+        Text("The system of the coordinates cannot be told ({:.2f}, {:.2f}).{}", plan[0, 0], plan[0, 1],
+             Text(expected)),
         remedy="Name it, such as UTM 50N, EPSG:2180 or local: in the import's System, with --system, or alone in the "
         "file's first line. Local coordinates must lie within 10 km of their origin.",
     )

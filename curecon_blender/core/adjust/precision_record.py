@@ -14,6 +14,7 @@ import numpy as np
 
 from ..base.errors import WorkspaceError
 from ..base.files import atomic_write
+from ..base.language import Text
 from ..base.reading import FARTHEST, Expected, read_arrays
 
 PRECISION_FILE = "precision.npz"
@@ -100,7 +101,8 @@ def read_precision(folder: Path) -> Precision | None:
             raise ValueError("it holds variances that are none")
     except (OSError, ValueError) as error:
         raise WorkspaceError(
-            f"{path} is damaged ({error}).", remedy="Run Reconstruct again in this workspace.", path=path
+            Text("{} is damaged ({}).", path, Text(str(error))),
+            remedy="Run Reconstruct again in this workspace.", path=path
         ) from error
     sigma, held = float(found.pop("sigma")), bool(found.pop("held"))
     return Precision(**found, sigma=sigma, held=held)

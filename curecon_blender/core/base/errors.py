@@ -8,11 +8,14 @@ import re
 from pathlib import Path
 from typing import Any
 
+from .language import Text
+
 
 class CuReconError(Exception):
     """Base of every error that a user can do something about.
 
-    `str(error)` says what happened (and to which file); `remedy` says what to do next.
+    `str(error)` says what happened (and to which file); `remedy` says what to do next. Both are
+    Texts, to be translated.
     """
 
     exit_code = 1
@@ -20,8 +23,8 @@ class CuReconError(Exception):
 
     def __init__(self, message: str, *, remedy: str, path: Path | str | None = None) -> None:
         super().__init__(message)
-        self.message = message
-        self.remedy = remedy
+        self.message = Text(message)
+        self.remedy = Text(remedy)
         self.path = None if path is None else str(path)
 
     def __reduce__(self) -> tuple[Any, ...]:  # pickled by its fields: its arguments are not all positional

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
 from .errors import WorkspaceError
+from .language import Text
 from .reading import build, read_json
 
 Record = TypeVar("Record")
@@ -36,23 +37,24 @@ def disk_errors(path: Path) -> Iterator[None]:
     except OSError as error:
         if error.errno in _GONE or (isinstance(error, FileNotFoundError) and not path.parent.exists()):
             raise WorkspaceError(
-                f"{path} could not be written: its folder is gone, or its drive does not answer ({error.strerror}).",
+                Text("{} could not be written: its folder is gone, or its drive does not answer ({}).", path,
+                     error.strerror),
                 remedy="Connect the drive again or put the folder back, then run it again: finished work is kept.",
                 path=path,
             ) from error
         if error.errno == errno.EFBIG:
             raise WorkspaceError(
-                f"{path} would be larger than its drive allows for one file.",
+                Text("{} would be larger than its drive allows for one file.", path),
                 remedy="Choose a workspace on another drive; memory cards and sticks often allow 4 GB.", path=path,
             ) from error
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             raise WorkspaceError(
-                f"The disk is full: {path} could not be written.",
+                Text("The disk is full: {} could not be written.", path),
                 remedy="Free some space, then run it again: finished work is kept.", path=path,
             ) from error
         if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
             raise WorkspaceError(
-                f"No permission to write {path}.",
+                Text("No permission to write {}.", path),
                 remedy="Choose a workspace folder that you may write to.", path=path,
             ) from error
         raise
@@ -109,7 +111,8 @@ def read_record(kind: type[Record], path: Path) -> Record:
         return record
     except (OSError, ValueError) as error:
         raise WorkspaceError(
-            f"{path} is missing or damaged ({error}).", remedy="Run Reconstruct again in this workspace.", path=path
+            Text("{} is missing or damaged ({}).", path, Text(str(error))),
+            remedy="Run Reconstruct again in this workspace.", path=path
         ) from error
 
 

@@ -22,6 +22,7 @@ from PIL import Image, ImageCms, UnidentifiedImageError
 
 from .errors import PhotoError, ran_out_of_memory
 from .files import atomic_write
+from .language import Text
 
 HEIC_SUFFIXES = (".heic", ".heif", ".hif")
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", *HEIC_SUFFIXES)
@@ -81,12 +82,14 @@ def open_image(path: Path) -> Iterator[Image.Image]:
             size, pixels = os.fstat(file.fileno()).st_size, image.width * image.height
         if pixels > MAX_PIXELS:
             raise PhotoError(
-                f"{shown(path)} has {pixels / 1e6:.0f} megapixels: at most {MAX_PIXELS / 1e6:.0f} can be read.",
+                Text("{} has {:.0f} megapixels: at most {:.0f} can be read.", shown(path), pixels / 1e6,
+                     MAX_PIXELS / 1e6),
                 remedy="Scale it down, or cut it into single photos.", path=path,
             )
         if pixels > BOMB_PIXELS and pixels > BOMB_PIXELS_PER_BYTE * size:
             raise PhotoError(
-                f"{shown(path)} unpacks to {pixels / 1e6:.0f} megapixels from {size / 1e3:.0f} kB, as no photo does.",
+                Text("{} unpacks to {:.0f} megapixels from {:.0f} kB, as no photo does.", shown(path), pixels / 1e6,
+                     size / 1e3),
                 remedy="Leave it out: it may have been made to stop programs that open it.", path=path,
             )
         yield image
@@ -98,7 +101,7 @@ def decode(image: Image.Image, path: Path, max_size: int | None = None) -> np.nd
     with _photo_errors(path):
         if (scans := _scans(image, path)) > MOST_SCANS:
             raise PhotoError(
-                f"{shown(path)} is drawn over {scans} times as it is decoded, as no photo is.",
+                Text("{} is drawn over {} times as it is decoded, as no photo is.", shown(path), scans),
                 remedy="Leave it out: it may have been made to stop programs that open it.", path=path,
             )
         _draft(image, max_size)
@@ -168,25 +171,28 @@ def _photo_errors(path: Path) -> Iterator[None]:
         yield
     except FileNotFoundError as error:
         raise PhotoError(
-            f"{shown(path)} does not exist.", remedy="Put the photo back where it was, or check the photos again.",
+            Text("{} does not exist.", shown(path)),
+            remedy="Put the photo back where it was, or check the photos again.",
             path=path,
         ) from error
     except PermissionError as error:
         raise PhotoError(
-            f"No permission to read {shown(path)}.", remedy="Change the file's permissions, or leave it out.", path=path
+            Text("No permission to read {}.", shown(path)),
+            remedy="Change the file's permissions, or leave it out.", path=path
         ) from error
     except UnidentifiedImageError as error:
         raise PhotoError(
-            f"{shown(path)} is not a JPEG, PNG, TIFF or HEIC picture.",
+            Text("{} is not a JPEG, PNG, TIFF or HEIC picture.", shown(path)),
             remedy="Leave it out, or export it again as JPEG.", path=path,
         ) from error
     except (MemoryError, *_DAMAGE) as error:
         if ran_out_of_memory(error):  # decoders tell it as damage, too
             raise PhotoError(
-                f"{NO_MEMORY_FOR} {shown(path)}.", remedy="Close other programs, or scale it down.", path=path
+                Text("{} {}.", Text(NO_MEMORY_FOR), shown(path)),
+                remedy="Close other programs, or scale it down.", path=path
             ) from error
         raise PhotoError(
-            f"{shown(path)} is damaged or cut short ({error}).",
+            Text("{} is damaged or cut short ({}).", shown(path), Text(str(error))),
             remedy="Copy it from the camera again, or leave it out.", path=path,
         ) from error
 

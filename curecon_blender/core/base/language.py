@@ -36,6 +36,8 @@ class Text(str):
     values: tuple[object, ...]
 
     def __new__(cls, message: str, *values: object) -> Self:
+        if isinstance(message, cls) and not values:
+            return message
         text = super().__new__(cls, message.format(*values) if values else message)
         text.message, text.values = message, values
         return text

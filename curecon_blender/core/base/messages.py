@@ -1,16 +1,21 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a worker tells its parent: a small closed set of messages, one JSON object a line."""
+"""What a worker tells its parent: a small closed set of messages, one JSON object a line.
+
+A Text goes over as its message and values, so that whoever shows it can say it in another language.
+"""
 
 from __future__ import annotations
 
 import json
+import numbers
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
 from .errors import Cancelled, CuReconError
+from .language import Text
 from .reading import build, parse_json
 
 
@@ -68,16 +73,37 @@ _NAMES = {cls: name for name, cls in _KINDS.items()}
 
 def encode(message: Message) -> str:
     """One line of ASCII JSON, without the line end."""
-    return json.dumps({"type": _NAMES[type(message)], **asdict(message)})
+    words = {field.name: _apart(getattr(message, field.name)) for field in fields(message)
+             if isinstance(getattr(message, field.name), Text)}
+    return json.dumps({"type": _NAMES[type(message)], **asdict(message), **words})
+
+
+def _apart(value: object) -> object:
+    """A value of a Text as JSON has it; a Text is its message before its values."""
+    if isinstance(value, Text):
+        return [value.message, *map(_apart, value.values)]
+    if isinstance(value, numbers.Number) and not isinstance(value, int):
+        return float(value)  # type: ignore[arg-type]  # NumPy's among them
+    return value if isinstance(value, int | str) else str(value)
+
+
+def _together(value: object) -> object:
+    """The reverse. Raises ValueError, TypeError, LookupError for what is no Text."""
+    if not isinstance(value, list):
+        return value
+    message, *values = value
+    return Text(build(str, message), *map(_together, values))
 
 
 def decode(line: str) -> Message:
     """The message in a line. Raises ValueError for anything that is not one of the closed set."""
     try:
-        fields = build(dict, parse_json(line))
-        message: Message = build(_KINDS[build(str, fields.pop("type"))], fields)
-        return message
-    except (KeyError, ValueError) as error:
+        told = {name: _together(value) for name, value in build(dict, parse_json(line)).items()}
+        texts: dict[str, Any] = {name: value for name, value in told.items() if isinstance(value, Text)}
+        told |= {name: str(text) for name, text in texts.items()}
+        message: Message = build(_KINDS[build(str, told.pop("type"))], told)
+        return replace(message, **texts)
+    except (AttributeError, LookupError, TypeError, ValueError) as error:
         raise ValueError(f"not a worker message: {line[:200]!r}") from error
 
 
@@ -146,7 +172,7 @@ class Reporter:
 
     def warning(self, text: str, photo: str | None = None) -> None:
         self.warnings.append(text)
-        self._sink(Warning(text=text, photo=photo))
+        self._sink(Warning(text=Text(text), photo=photo))
 
     def log(self, text: str) -> None:
         self._sink(Log(text=text))

@@ -14,6 +14,7 @@ import numpy as np
 from ..base import images
 from ..base.errors import PhotoError, WorkspaceError
 from ..base.files import disk_errors
+from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.records import View
 from ..base.sampling import sample
@@ -67,10 +68,10 @@ class DepthMaps:
         try:
             picture = images.read_rgb(path)
         except PhotoError as error:
-            raise WorkspaceError(f"The undistorted picture {path} is missing or damaged.", remedy=remedy,
+            raise WorkspaceError(Text("The undistorted picture {} is missing or damaged.", path), remedy=remedy,
                                  path=path) from error
         if picture.shape[:2] != (view.height, view.width):
-            raise WorkspaceError(f"{path} and its depth map differ in size.", remedy=remedy, path=path)
+            raise WorkspaceError(Text("{} and its depth map differ in size.", path), remedy=remedy, path=path)
         depth, confidence = read_depth(self._workspace, view)
         inverse = np.full(depth.shape, np.nan, np.float32)
         np.divide(1, depth, out=inverse, where=depth > 0)

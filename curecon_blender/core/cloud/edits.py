@@ -17,6 +17,7 @@ import numpy as np
 
 from ..base.errors import WorkspaceError
 from ..base.files import atomic_write, disk_errors
+from ..base.language import Text
 from ..base.reading import Expected, read_arrays
 from .ply import Cloud, cloud_blocks, point_count, read_cloud
 
@@ -90,7 +91,8 @@ def edits_key(cloud: Path) -> str:
 
 def _damaged(path: Path, error: Exception) -> WorkspaceError:
     return WorkspaceError(
-        f"{path} is damaged ({error}).", remedy="Delete that file and import again: all points come back.", path=path
+        Text("{} is damaged ({}).", path, Text(str(error))),
+        remedy="Delete that file and import again: all points come back.", path=path
     )
 
 

@@ -32,6 +32,7 @@ import numpy as np
 from ..base import memory
 from ..base.errors import CuReconError
 from ..base.files import disk_errors, scratch_folder
+from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.options import Options
 from ..base.records import Component, View
@@ -97,7 +98,8 @@ def fuse(component: Component, workspace: Path, options: Options, reporter: Repo
     min_views = options.min_views
     if len(component.views) < (min_views or 3):
         min_views = len(component.views)
-        reporter.warning(f"Only {min_views} photos hang together here: points need no more than their agreement.")
+        reporter.warning(Text("Only {} photos hang together here: points need no more than their agreement.",
+                              min_views))
     planned = plan((view.width * view.height for view in component.views), memory.budget(options))
     order = finest_first(component.views, workspace, reporter)
     neighbours = _neighbours(component.views)
@@ -123,8 +125,8 @@ def fuse(component: Component, workspace: Path, options: Options, reporter: Repo
         reporter.progress(100, 100)
         if writer.count == 0:
             raise NoPointsError(
-                f"Too few views agree: none of the {len(order)} photos' depth has a point that {min_views or 2} of "
-                f"them see at the same place with confidence {options.min_confidence:g}.",
+                Text("Too few views agree: none of the {} photos' depth has a point that {} of them see at the same "
+                     "place with confidence {:g}.", len(order), min_views or 2, options.min_confidence),
                 remedy="Take photos that overlap more, or try again with a lower minimum confidence or fewer "
                 "confirming views.",
                 path=workspace / component.cloud,

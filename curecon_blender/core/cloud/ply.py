@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ..base.errors import WorkspaceError
+from ..base.language import Text
 from ..base.ply import RowWriter, column, read_header, read_ply, row_type, table
 from ..base.reading import FARTHEST, left_bytes
 
@@ -133,10 +134,11 @@ def _cloud_errors(path: Path) -> Iterator[None]:
         yield
     except FileNotFoundError as error:
         raise WorkspaceError(
-            f"{path} does not exist.", remedy="Run Reconstruct to the end first.", path=path
+            Text("{} does not exist.", path), remedy="Run Reconstruct to the end first.", path=path
         ) from error
     except (OSError, ValueError) as error:
         raise WorkspaceError(
-            f"{path} is not a point cloud that CU-Recon can read: {error}.", remedy=_REMEDY, path=path
+            Text("{} is not a point cloud that CU-Recon can read: {}.", path,
+                 Text(str(error))), remedy=_REMEDY, path=path
         ) from error
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..base.errors import SetupError, WorkspaceError
 from ..base.files import disk_errors, partial_path
+from ..base.language import Text
 from ..base.messages import Reporter
 from . import systems
 from .laz import CloudSource, extent_of
@@ -37,14 +38,14 @@ def write_e57(path: Path, source: CloudSource, reporter: Reporter) -> int:
     partial = partial_path(path)
     with disk_errors(path):
         if shutil.disk_usage(path.parent).free < need:
-            raise WorkspaceError(f"The disk of {path.parent} has no room for an E57 of {need / 2**20:.0f} MB.",
+            raise WorkspaceError(Text("The disk of {} has no room for an E57 of {:.0f} MB.", path.parent, need / 2**20),
                                  remedy="Free some space, or choose LAZ, which is a third as large.", path=path)
         try:
             _write_scans(partial, source, np.floor((extent.low + extent.high) / 2), extent.count, reporter)
             os.replace(partial, path)
         except libe57.E57Exception as error:
             raise WorkspaceError(
-                f"{path} could not be written ({str(error).splitlines()[0]}).", path=path,
+                Text("{} could not be written ({}).", path, Text(str(error).splitlines()[0])), path=path,
                 remedy="Check the disk's free space and the folder's permissions, then export again.",
             ) from error
         finally:

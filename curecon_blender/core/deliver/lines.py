@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..base.language import Text
 from ..base.messages import Reporter
 from ..surface.mesh import Mesh
 from .cuts import clipped, cut
@@ -35,8 +36,8 @@ def contours(mesh: Mesh, places: np.ndarray, interval: float | None, reporter: R
     first, last = int(np.ceil(low / step)), int(np.floor(high / step))
     count = last - first + 1
     if count > _MOST_LEVELS:
-        raise DeliverError(f"Contours every {step:g} would be {count}; {_MOST_LEVELS} are the most.",
-                           remedy=f"Choose {round_up((high - low) / _MOST_LEVELS):g} or more.")
+        raise DeliverError(Text("Contours every {:g} would be {}; {} are the most.", step, count, _MOST_LEVELS),
+                           remedy=Text("Choose {:g} or more.", round_up((high - low) / _MOST_LEVELS)))
     strokes = []
     for number in range(first, last + 1):
         layer = "CONTOUR" if number % _INDEX else "CONTOUR_INDEX"

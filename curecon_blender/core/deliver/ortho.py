@@ -18,6 +18,7 @@ from numba import njit
 
 from ..base.errors import PhotoError
 from ..base.images import read_rgb
+from ..base.language import Text
 from ..base.messages import Reporter
 from ..surface.mesh import Mesh
 from ..texture.rasterise import nearest_faces
@@ -60,8 +61,8 @@ def grid_of(points: np.ndarray, axes: np.ndarray, pixel: float, *, chosen: bool)
     width, height = (int(count) for count in np.maximum(last - first, 1))
     if max(width, height) > LARGEST:
         raise DeliverError(
-            f"Pixels of {pixel:g} make a picture of {width} x {height}; {LARGEST} a side are the most.",
-            remedy=f"Choose pixels of {round_up(pixel * max(width, height) / LARGEST):g} or more.",
+            Text("Pixels of {:g} make a picture of {} x {}; {} a side are the most.", pixel, width, height, LARGEST),
+            remedy=Text("Choose pixels of {:g} or more.", round_up(pixel * max(width, height) / LARGEST)),
         )
     return Grid(axes=axes, left=float(first[0] * pixel), top=float(last[1] * pixel), pixel=pixel, width=width,
                 height=height)
@@ -201,10 +202,10 @@ def read_pages(folder: Path, names: tuple[str, ...]) -> np.ndarray:
         try:
             pages.append(read_rgb(folder / name))
         except PhotoError as error:
-            raise DeliverError(f"A page of the texture cannot be read: {error.message}",
+            raise DeliverError(Text("A page of the texture cannot be read: {}", error.message),
                                remedy="Run Texture again.", path=folder / name) from error
         if pages[-1].shape != pages[0].shape:
-            raise DeliverError(f"{folder / name} has another size than the texture's first page.",
+            raise DeliverError(Text("{} has another size than the texture's first page.", folder / name),
                                remedy="Run Texture again.", path=folder / name)
     return np.stack(pages) if pages else np.zeros((0, 1, 1, 3), np.uint8)
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from ..base.errors import CuReconError
 from ..base.geodesy import enu_to_geodetic, geodetic_to_utm, utm_zone
+from ..base.language import Text
 from ..base.options import LOCAL, UTM
 from ..base.records import Frame, GeoPosition
 
@@ -46,7 +47,7 @@ class Placement:
         lacks = ("its scale" if frame.scale != "metres" else "its place on Earth" if frame.origin is None
                  else "where north is")
         raise DeliverError(
-            f"The site cannot be placed on Earth: {lacks} is unknown.",
+            Text("The site cannot be placed on Earth: {} is unknown.", Text(lacks)),
             remedy="Choose the local frame, or give the photos' GPS, control points or a measured scale and north "
             "first.",
         )

@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from ..base.errors import DeviceError, SetupError
+from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.options import Options
 from ..base.records import Component, View
@@ -53,15 +54,17 @@ def connect(address: str) -> Iterator[distributed.Client]:
         import distributed
     except ModuleNotFoundError as error:
         raise SetupError(
-            f"The Python at {sys.executable} has no {error.name}: depth maps cannot be spread over a Dask cluster.",
-            remedy=f"Run {sys.executable} -m pip install -r {REQUIREMENTS}, or leave the scheduler's address out.",
+            Text("The Python at {} has no {}: depth maps cannot be spread over a Dask cluster.", sys.executable,
+                 error.name),
+            remedy=Text("Run {} -m pip install -r {}, or leave the scheduler's address out.", sys.executable,
+                        REQUIREMENTS),
             path=sys.executable,
         ) from error
     try:
         client = distributed.Client(address, timeout=CONNECT_SECONDS, set_as_default=False, name="CU-Recon")
     except (OSError, ValueError, TypeError) as error:  # no answer, no such host or scheme, no certificates
         raise DeviceError(
-            f"No Dask scheduler answers at {address} ({error}).",
+            Text("No Dask scheduler answers at {} ({}).", address, Text(str(error))),
             remedy='Start one with "dask scheduler" and give its address, such as tcp://192.168.1.5:8786; or leave the '
             "address out.",
         ) from error
@@ -132,7 +135,7 @@ def _outcome(task: distributed.Future, name: str) -> bool:
         return bool(task.result())
     except distributed.KilledWorker as error:
         raise DeviceError(
-            f"{name} ended every worker that tried it (the last one: {error.last_worker.address}).",
+            Text("{} ended every worker that tried it (the last one: {}).", name, error.last_worker.address),
             remedy="They may be out of memory: start fewer workers on a machine, or lower the memory budget. Finished "
             "photos are kept.",
         ) from error
@@ -145,8 +148,8 @@ def _outcome(task: distributed.Future, name: str) -> bool:
 
 def _no_workers(address: str) -> DeviceError:
     return DeviceError(
-        f"The Dask scheduler at {address} has no workers.",
-        remedy=f'Start some with "dask worker {address} --nworkers 2 --nthreads 1", then run it again.',
+        Text("The Dask scheduler at {} has no workers.", address),
+        remedy=Text('Start some with "dask worker {} --nworkers 2 --nthreads 1", then run it again.', address),
     )
 
 
@@ -162,7 +165,7 @@ def _checked_workers(client: distributed.Client, workspace: Path, options: Optio
         for what, digest in ours.items():
             if answer[what] != digest:
                 raise DeviceError(
-                    f"The Dask worker {address} sees another {what}, or none.",
+                    Text("The Dask worker {} sees another {}, or none.", address, Text(what)),
                     remedy="Give all machines the workspace and CU-Recon under the same paths, then start the workers "
                     "again.",
                 )
@@ -172,9 +175,10 @@ def _checked_workers(client: distributed.Client, workspace: Path, options: Optio
 def _incompatible(who: str, why: object) -> DeviceError:
     """That a part of the cluster cannot take part; `why` may be an error with its own remedy."""
     return DeviceError(
-        f"The Dask {who} cannot help with depth maps: {why}",
-        remedy=getattr(why, "remedy", "Start it with the same versions of CU-Recon's libraries and of Dask, and with "
-                       f"the folder {CORE.parents[1]} on its PYTHONPATH."),
+        Text("The Dask {} cannot help with depth maps: {}", Text(who), Text(str(why))),
+        remedy=getattr(why, "remedy", Text(
+            "Start it with the same versions of CU-Recon's libraries and of Dask, and with the folder {} on its "
+            "PYTHONPATH.", CORE.parents[1])),
     )
 
 

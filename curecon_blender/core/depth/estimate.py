@@ -14,6 +14,7 @@ from torch import Tensor
 from ..base import images
 from ..base.allocator import release
 from ..base.errors import DeviceError
+from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.options import Options
 from ..base.records import Component, View
@@ -36,7 +37,7 @@ def choose_device(name: str) -> torch.device:
         name = next(n for n in ("cuda", "mps", "cpu") if available[n])
     if not available[name]:
         raise DeviceError(
-            f"This computer has no usable {name.upper()} device for this Python's torch.",
+            Text("This computer has no usable {} device for this Python's torch.", name.upper()),
             remedy="Choose the device 'auto' or 'cpu', or a worker Python whose torch supports your graphics card.",
         )
     return torch.device(name)
@@ -243,7 +244,7 @@ def start_progress(
         reporter.progress(done, total, fresh=False)
     for view, _ in left:
         if not view.sources:
-            reporter.warning(f"{view.name} has no suitable neighbour; it gets no depth.", view.name)
+            reporter.warning(Text("{} has no suitable neighbour; it gets no depth.", view.name), view.name)
     return done, total
 
 
@@ -268,6 +269,6 @@ def tell_left_out(photos: int, reporter: Reporter) -> None:
     """Warn of so many photos that went without some of their sources in places."""
     if photos:
         reporter.warning(
-            f"{photos} photos were matched with fewer of their neighbours in places, because the memory budget is too "
-            "small for all of them. A lower quality, or more memory, uses them all."
+            Text("{} photos were matched with fewer of their neighbours in places, because the memory budget is too "
+                 "small for all of them. A lower quality, or more memory, uses them all.", photos)
         )

@@ -15,6 +15,7 @@ import numpy as np
 
 from ..base.errors import WorkspaceError
 from ..base.files import atomic_write
+from ..base.language import Text
 from ..base.reading import Expected, read_arrays
 from ..base.records import View
 
@@ -47,13 +48,14 @@ def read_depth(workspace: Path, view: View) -> tuple[np.ndarray, np.ndarray]:
         found = read_arrays(path, {"depth": size, "confidence": size, **_CAMERA})
     except FileNotFoundError as error:
         raise WorkspaceError(
-            f"The depth map of {view.name} is missing ({path}).",
+            Text("The depth map of {} is missing ({}).", view.name, path),
             remedy="Run Reconstruct again: it computes the depth maps that are missing.", path=path,
         ) from error
     except (OSError, ValueError) as error:
-        raise WorkspaceError(f"The depth map {path} is damaged ({error}).", remedy=remedy, path=path) from error
+        raise WorkspaceError(Text("The depth map {} is damaged ({}).", path, Text(str(error))),
+                             remedy=remedy, path=path) from error
     if not all(np.allclose(getattr(view, name), found[name], rtol=1e-4, atol=1e-4) for name in _CAMERA):
-        raise WorkspaceError(f"The depth map {path} was made for another camera.", remedy=remedy, path=path)
+        raise WorkspaceError(Text("The depth map {} was made for another camera.", path), remedy=remedy, path=path)
     return found["depth"], found["confidence"]
 
 

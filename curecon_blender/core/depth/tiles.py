@@ -14,6 +14,7 @@ import torch
 from ..base import memory
 from ..base.errors import DeviceError
 from ..base.images import DECODING_BYTES
+from ..base.language import Text
 from ..base.options import Options
 from ..base.records import View
 from ..network.model import MAX_HYPOTHESES, MIN_HYPOTHESES, MULTIPLE
@@ -93,8 +94,8 @@ def plan_tiles(view: View, sources: list[View], hypotheses: int, budget: int) ->
             break
     if not plans:
         raise DeviceError(
-            f"A memory budget of {budget / 2**30:.2f} GiB is too small for even one tile of a depth map.",
-            remedy=f"Give it at least {LEAST_BUDGET / 2**30:.1f} GiB, or close other programs.",
+            Text("A memory budget of {:.2f} GiB is too small for even one tile of a depth map.", budget / 2**30),
+            remedy=Text("Give it at least {:.1f} GiB, or close other programs.", LEAST_BUDGET / 2**30),
         )
     return plans
 

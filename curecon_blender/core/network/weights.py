@@ -14,6 +14,7 @@ import torch
 
 from ..base.errors import OutOfMemory, WeightsError, ran_out_of_memory
 from ..base.files import write_json
+from ..base.language import Text
 from ..base.reading import build, read_bytes, read_json
 from .config import NetworkConfig
 from .model import LCMMVSNet
@@ -37,9 +38,10 @@ def describe(path: Path | None = None) -> dict[str, Any]:
         build(dict, found["config"], "config")
         return found
     except FileNotFoundError as error:
-        raise WeightsError(f"{record} is missing.", remedy=_REMEDY, path=record) from error
+        raise WeightsError(Text("{} is missing.", record), remedy=_REMEDY, path=record) from error
     except (OSError, ValueError, KeyError) as error:
-        raise WeightsError(f"{record} is damaged ({error}).", remedy=_REMEDY, path=record) from error
+        raise WeightsError(Text("{} is damaged ({}).", record, Text(str(error))),
+                           remedy=_REMEDY, path=record) from error
 
 
 def load_network(path: Path | None = None) -> LCMMVSNet:
@@ -52,12 +54,15 @@ def load_network(path: Path | None = None) -> LCMMVSNet:
     try:
         content = read_bytes(weights, _MOST_BYTES)
     except OSError as error:
-        raise WeightsError(f"The network's weights {weights} are missing.", remedy=_REMEDY, path=weights) from error
+        raise WeightsError(Text("The network's weights {} are missing.", weights),
+                           remedy=_REMEDY, path=weights) from error
     except ValueError as error:
-        raise WeightsError(f"The network's weights {weights}: {error}.", remedy=_REMEDY, path=weights) from error
+        raise WeightsError(Text("The network's weights {}: {}.", weights, Text(str(error))),
+                           remedy=_REMEDY, path=weights) from error
     if hashlib.sha256(content).hexdigest() != record["sha256"]:
         raise WeightsError(
-            f"The network's weights {weights} are corrupted (their checksum is wrong).", remedy=_REMEDY, path=weights
+            Text("The network's weights {} are corrupted (their checksum is wrong).", weights),
+            remedy=_REMEDY, path=weights
         )
     try:
         config, tensors = _config(record["config"]), safetensors.torch.load(content)
@@ -69,10 +74,10 @@ def load_network(path: Path | None = None) -> LCMMVSNet:
         if ran_out_of_memory(error):
             raise OutOfMemory from error
         raise WeightsError(
-            f"{weights} holds the weights of another network: {error}", remedy=_REMEDY, path=weights
+            Text("{} holds the weights of another network: {}", weights, Text(str(error))), remedy=_REMEDY, path=weights
         ) from error
     if not all(bool(tensor.isfinite().all()) for tensor in network.state_dict().values()):
-        raise WeightsError(f"{weights} holds weights that are no numbers.", remedy=_REMEDY, path=weights)
+        raise WeightsError(Text("{} holds weights that are no numbers.", weights), remedy=_REMEDY, path=weights)
     return network.eval()
 
 

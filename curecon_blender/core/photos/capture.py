@@ -8,6 +8,7 @@ from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 
 from ..base.errors import WorkspaceError
+from ..base.language import Text
 from .record import FILE_NAME, read_photos
 
 FIRST_YEAR, LAST_YEAR = 1900, 2200  # of a photo's time; a clock beyond them was never set
@@ -27,7 +28,8 @@ def read_times(workspace: Path) -> dict[str, datetime]:
     except ValueError as error:
         path = workspace / FILE_NAME
         raise WorkspaceError(
-            f"{path} is damaged ({error}).", remedy="Delete it and run Reconstruct again.", path=path
+            Text("{} is damaged ({}).", path, Text(str(error))),
+            remedy="Delete it and run Reconstruct again.", path=path
         ) from error
     # By the clock's face: photos with and without an offset cannot be compared otherwise.
     return dict(sorted(times.items(), key=lambda item: (item[1].replace(tzinfo=None), item[0])))

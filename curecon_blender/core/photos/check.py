@@ -20,6 +20,7 @@ import numpy as np
 from ..base import images
 from ..base.errors import OutOfMemory, PhotoError
 from ..base.geodesy import altitudes_tell
+from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.records import ELLIPSOID, SEA_LEVEL, UNKNOWN, Photo, PhotoSet, SkippedPhoto
 from . import metadata, overlap, stations
@@ -65,7 +66,7 @@ def check_photos(
         workers.shutdown(cancel_futures=True)
     examined, skipped = _without_duplicates(results)
     for skip in skipped:
-        reporter.warning(f"Left out: {skip.reason}")
+        reporter.warning(Text("Left out: {}", Text(skip.reason)))
     if not surplus:
         examined, left_out = _without_surplus(examined, reporter)
         skipped += left_out
@@ -80,7 +81,7 @@ def check_photos(
     for problem in ("blurred", "overexposed", "underexposed"):
         if names := [photo.name for photo in photos if problem in _problems(photo)]:
             text = "1 photo looks" if len(names) == 1 else f"{len(names)} photos look"
-            reporter.warning(f"{text} {problem} and will still be used: {listed(names)}.")
+            reporter.warning(Text("{} {} and will still be used: {}.", Text(text), Text(problem), listed(names)))
     return PhotoSet(photos=tuple(photos), skipped=tuple(skipped))
 
 
@@ -236,10 +237,11 @@ def _without_surplus(examined: list[Examined], reporter: Reporter) -> tuple[list
         kinds.setdefault(surplus.kind, []).append(path)
     for kind, paths in kinds.items():
         if len(paths) == 1:
-            reporter.warning(f"Left out: {found[paths[0]].reason} {_OVERRULE}")
+            reporter.warning(Text("Left out: {} {}", Text(found[paths[0]].reason), Text(_OVERRULE)))
         else:
             names = listed([images.shown(path) for path in paths])
-            reporter.warning(f"Left out: {len(paths)} pictures, each a {kind}: {names}. {_OVERRULE}")
+            reporter.warning(Text("Left out: {} pictures, each a {}: {}. {}", len(paths), Text(kind), names,
+                                  Text(_OVERRULE)))
     left = [picture for picture in examined if picture.photo.path not in found]
     return left, [SkippedPhoto(path=path, reason=it.reason, kind=it.kind) for path, it in found.items()]
 
@@ -250,7 +252,8 @@ def _unreadable(files: Files, reporter: Reporter) -> list[SkippedPhoto]:
     for kind, skips in found.items():
         count = f"1 {kind} file is" if len(skips) == 1 else f"{len(skips)} {kind} files are"
         names = listed([images.shown(skip.path) for skip in skips])
-        reporter.warning(f"{count} not used, since this kind is not read here: {names}. {remedy_for(kind)}")
+        reporter.warning(Text("{} not used, since this kind is not read here: {}. {}", Text(count), names,
+                              Text(remedy_for(kind))))
     return [skip for skips in found.values() for skip in skips]
 
 
@@ -259,8 +262,8 @@ def _tell_of_xmp(examined: list[Examined], reporter: Reporter) -> None:
         of = "1 photo" if len(faulty) == 1 else f"{len(faulty)} photos"
         names = listed([images.shown(picture.photo.path) for picture in faulty])
         reporter.warning(
-            f"The XMP of {of} is faulty; what is sound in it is used: {names}. "
-            f"That of {images.shown(faulty[0].photo.path)} {faulty[0].xmp_fault}."
+            Text("The XMP of {} is faulty; what is sound in it is used: {}. That of {} {}.", Text(of), names,
+                 images.shown(faulty[0].photo.path), Text(faulty[0].xmp_fault))
         )
 
 
@@ -287,8 +290,8 @@ def _with_altitudes(photos: list[Photo], reporter: Reporter) -> list[Photo]:
         return photos
     assert located[0].gps is not None
     reporter.warning(
-        f"All photos have the same GPS altitude ({located[0].gps.altitude:.1f} m), which is not used: no receiver "
-        "measured it."
+        Text("All photos have the same GPS altitude ({:.1f} m), which is not used: no receiver measured it.",
+             located[0].gps.altitude)
     )
     return [replace(photo, gps=photo.gps and replace(photo.gps, altitude=None, altitude_datum=UNKNOWN))
             for photo in photos]
@@ -301,8 +304,9 @@ def with_one_datum(photos: list[Photo], reporter: Reporter) -> list[Photo]:
         return photos
     fewer, more = sorted((ELLIPSOID, SEA_LEVEL), key=lambda level: levels[level])
     reporter.warning(
-        f"{levels[fewer]} photos count their altitude from the {fewer}, {levels[more]} from the {more}: the altitudes "
-        f"of the {levels[fewer]} are not used. Use photos of one flight, or of one kind of receiver."
+        Text("{} photos count their altitude from the {}, {} from the {}: the altitudes of the {} are not used. Use "
+             "photos of one flight, or of one kind of receiver.", levels[fewer], Text(fewer), levels[more], Text(more),
+             levels[fewer])
     )
     return [replace(photo, gps=replace(photo.gps, altitude=None, altitude_datum=UNKNOWN), gps_sigmas=None)
             if photo.gps is not None and photo.gps.altitude_datum == fewer else photo for photo in photos]
@@ -338,6 +342,7 @@ def _too_few(source: Path, usable: int, skipped: list[SkippedPhoto]) -> PhotoErr
     found = f"only {usable} usable photo{'' if usable == 1 else 's'}" if usable else "no usable photo"
     left_out = f" Left out: {listed([skip.reason.rstrip('.') for skip in skipped], ';')}." if skipped else ""
     return PhotoError(
-        f"There is {found} in {source}: a reconstruction needs at least {MIN_PHOTOS}.{left_out}",
+        Text("There is {} in {}: a reconstruction needs at least {}.{}", Text(found), source, MIN_PHOTOS,
+             Text(left_out)),
         remedy="Add photos of the same site that overlap by two thirds or more.", path=source,
     )

@@ -12,6 +12,7 @@ from pathlib import Path
 from ..base import images
 from ..base.errors import PhotoError
 from ..base.files import DELIVERABLES, JOB_FOLDERS, PRESENTATION
+from ..base.language import Text
 from ..base.options import VIDEO_SUFFIXES
 from ..base.records import SkippedPhoto
 
@@ -66,11 +67,12 @@ def find_files(source: Path) -> Files:
     """
     if source.is_file():
         raise PhotoError(
-            f"{source} is a single file: a reconstruction needs a folder of photos.",
+            Text("{} is a single file: a reconstruction needs a folder of photos.", source),
             remedy="Choose the folder that holds all the photos of the site.", path=source,
         )
     if not source.is_dir():
-        raise PhotoError(f"The folder {source} does not exist.", remedy="Choose the folder of the photos.", path=source)
+        raise PhotoError(Text("The folder {} does not exist.", source),
+                         remedy="Choose the folder of the photos.", path=source)
     folders = _visible(source, folders=True)
     if (source / "workspace.json").exists():  # the photos' folder is the workspace too: do not take up our own results
         own = (PRESENTATION, DELIVERABLES)
@@ -94,7 +96,8 @@ def find_files(source: Path) -> Files:
 def find_videos(source: Path) -> list[Path]:
     """The videos in `source` and one level below it. Raises PhotoError where it is no folder."""
     if not source.is_dir():
-        raise PhotoError(f"The folder {source} does not exist.", remedy="Choose the folder of the photos.", path=source)
+        raise PhotoError(Text("The folder {} does not exist.", source),
+                         remedy="Choose the folder of the photos.", path=source)
     return [path for folder in (source, *_visible(source, folders=True)) for path in _visible(folder, folders=False)
             if path.suffix.lower() in VIDEO_SUFFIXES and images.is_text(path)]
 
@@ -112,7 +115,7 @@ def _visible(folder: Path, *, folders: bool) -> list[Path]:
         return []
     except PermissionError as error:
         remedy = "Change its permissions, or copy the photos elsewhere."
-        raise PhotoError(f"No permission to read the folder {folder}.", remedy=remedy, path=folder) from error
+        raise PhotoError(Text("No permission to read the folder {}.", folder), remedy=remedy, path=folder) from error
 
 
 def _natural(name: str) -> list[tuple[int, str]]:
@@ -129,15 +132,17 @@ def _none_found(source: Path, files: list[Path]) -> PhotoError:
         folder, count = nearest
         photos = "1 photo lies" if count == 1 else f"{count} photos lie"
         return PhotoError(
-            f"There are no photos in {source} nor one level below it, but {photos} deeper, in {folder}.",
-            remedy=f"Choose {folder}, or the folder above it.", path=source,
+            Text("There are no photos in {} nor one level below it, but {} deeper, in {}.", source, Text(photos),
+                 folder),
+            remedy=Text("Choose {}, or the folder above it.", folder), path=source,
         )
     if not files:
-        return PhotoError(f"The folder {source} is empty.", remedy=choose, path=source)
+        return PhotoError(Text("The folder {} is empty.", source), remedy=choose, path=source)
     found = listed([f"{count} {kind.upper() if kind[0] == '.' else kind}" for kind, count in kinds.most_common()])
     remedy = " ".join(_REMEDIES[kind] for kind in known) or choose
     return PhotoError(
-        f"There are no JPEG, PNG, TIFF or HEIC photos in {source}, only other files: {found}.", remedy=remedy,
+        Text("There are no JPEG, PNG, TIFF or HEIC photos in {}, only other files: {}.", source,
+             Text(found)), remedy=remedy,
         path=source,
     )
 

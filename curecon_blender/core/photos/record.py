@@ -10,6 +10,7 @@ from pathlib import Path
 
 from ..base.errors import WorkspaceError
 from ..base.files import write_json
+from ..base.language import Text
 from ..base.reading import build, read_json
 from ..base.records import Photo, PhotoSet
 
@@ -34,13 +35,13 @@ def read_photos(workspace: Path) -> PhotoSet:
         return photo_set
     except FileNotFoundError as error:
         raise WorkspaceError(
-            f"{path} is missing, so the photos' places and capture times are unknown.", path=path,
+            Text("{} is missing, so the photos' places and capture times are unknown.", path), path=path,
             remedy="Run Reconstruct with the photos in this workspace.",
         ) from error
     except (OSError, ValueError) as error:
         raise WorkspaceError(
-            f"{path} is damaged ({error}).", path=path,
-            remedy=f"Delete the folder {workspace / 'stages'} and run Reconstruct again.",
+            Text("{} is damaged ({}).", path, Text(str(error))), path=path,
+            remedy=Text("Delete the folder {} and run Reconstruct again.", workspace / 'stages'),
         ) from error
 
 

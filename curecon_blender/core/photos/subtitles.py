@@ -12,6 +12,7 @@ import numpy as np
 
 from ..base.errors import PhotoError
 from ..base.images import shown
+from ..base.language import Text
 from ..base.reading import read_bytes
 
 MOST_BYTES = 200_000_000  # an hour of 60 frames a second is 60 MB
@@ -53,7 +54,8 @@ def read_subtitles(path: Path) -> Telemetry | None:
     try:
         text = read_bytes(path, MOST_BYTES).decode("utf-8", errors="replace")
     except (OSError, ValueError) as error:
-        raise PhotoError(f"{shown(path)} cannot be read ({error}).", remedy="Copy it from the drone again.",
+        raise PhotoError(Text("{} cannot be read ({}).", shown(path), Text(str(error))),
+                         remedy="Copy it from the drone again.",
                          path=path) from error
     seconds, values, clocks, focal = [], [], [], None
     for block in re.split(r"\n\s*\n", text.replace("\r", "")):

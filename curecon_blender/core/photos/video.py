@@ -18,6 +18,7 @@ from PIL import Image
 from ..base.errors import PhotoError
 from ..base.files import atomic_write, disk_errors, read_record, write_json
 from ..base.images import shown
+from ..base.language import Text
 from ..base.messages import Reporter
 from .find import find_videos
 from .subtitles import read_subtitles
@@ -58,7 +59,8 @@ def take_frames(folder: Path, reporter: Reporter) -> dict[str, int]:
     """
     videos = find_videos(folder)
     if not videos:
-        raise PhotoError(f"There is no video in {folder}.", remedy="Choose the folder that holds it.", path=folder)
+        raise PhotoError(Text("There is no video in {}.", folder),
+                         remedy="Choose the folder that holds it.", path=folder)
     taken = {}
     for n, video in enumerate(videos):
         def tell(share: float, done: int = n) -> None:
@@ -83,7 +85,8 @@ class _Taking:
                           if path.stem == video.stem and path.suffix.lower() == ".srt"), None)
         self._telemetry = read_subtitles(subtitles) if subtitles is not None else None
         if self._telemetry is None:
-            reporter.warning(f"{shown(video)} has no subtitles (.SRT) that tell positions: its photos have no GPS.")
+            reporter.warning(Text("{} has no subtitles (.SRT) that tell positions: its photos have no GPS.",
+                                  shown(video)))
 
     def run(self, tell: Callable[[float], None]) -> int:
         if not self._done.finished:
@@ -97,14 +100,14 @@ class _Taking:
         tell(1.0)
         if len(self._done.frames) <= STILL:
             self._reporter.warning(
-                f"{shown(self._video)} hardly moves: only {len(self._done.frames)} photos were taken of it.")
+                Text("{} hardly moves: only {} photos were taken of it.", shown(self._video), len(self._done.frames)))
         return len(self._done.frames)
 
     def _read(self, reader: cv2.VideoCapture, tell: Callable[[float], None]) -> None:
         count, rate = reader.get(cv2.CAP_PROP_FRAME_COUNT), reader.get(cv2.CAP_PROP_FPS)
         if not reader.isOpened() or not 0 < rate < 1000 or not reader.grab():
             raise PhotoError(
-                f"{shown(self._video)} is no video that can be read, or it is cut off.", path=self._video,
+                Text("{} is no video that can be read, or it is cut off.", shown(self._video)), path=self._video,
                 remedy="Copy it from the drone again, or repair it with a video program.")
         every, number = max(1, round(rate / LOOKED_AT)), 0
         first = self._done.frames[-1] + 1 if self._done.frames else 0
@@ -120,15 +123,15 @@ class _Taking:
                     self._write(chosen)
                 if len(self._done.frames) >= MOST_FRAMES:
                     self._reporter.warning(
-                        f"Only the first {number / rate / 60:.0f} of {count / rate / 60:.0f} minutes of "
-                        f"{shown(self._video)} were taken: cut it into shorter videos for the rest.")
+                        Text("Only the first {:.0f} of {:.0f} minutes of {} were taken: cut it into shorter videos "
+                             "for the rest.", number / rate / 60, count / rate / 60, shown(self._video)))
                     break
             if not reader.grab():
                 break
             number += 1
         if count > 0 and number < 0.98 * count - 2 and len(self._done.frames) < MOST_FRAMES:
-            self._reporter.warning(f"{shown(self._video)} is cut off or damaged after {number / rate:.0f} of "
-                                   f"{count / rate:.0f} seconds: what follows is lost.")
+            self._reporter.warning(Text("{} is cut off or damaged after {:.0f} of {:.0f} seconds: what follows is "
+                                        "lost.", shown(self._video), number / rate, count / rate))
         self._done = replace(self._done, finished=True)
         write_json(self._folder / _RECORD, asdict(self._done))
 

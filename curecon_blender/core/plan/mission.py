@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..base.errors import PlanError
+from ..base.language import Text
 from . import forms
 from .drones import Drone
 from .obstacles import along
@@ -108,16 +109,17 @@ def plan(kind: str, building: Building, drone: Drone, wishes: Wishes) -> Plan:
 def _check(building: Building, wishes: Wishes) -> None:
     corners = hull(building.outline) if len(building.outline) >= 3 else building.outline
     if len(corners) < 3 or abs(area(corners)) < LEAST_SIZE**2:
-        raise PlanError("The outline is no area.", remedy=f"Draw it around the building, {LEAST_SIZE:.0f} m across or "
-                        "more.")
+        raise PlanError("The outline is no area.", remedy=Text("Draw it around the building, {:.0f} m across or "
+                                                               "more.", LEAST_SIZE))
     if building.origin is not None and abs(building.origin.latitude) > MOST_LATITUDE:
-        raise PlanError(f"The site lies at latitude {building.origin.latitude:.1f}, too near to a pole for headings.",
+        raise PlanError(Text("The site lies at latitude {:.1f}, too near to a pole for headings.",
+                             building.origin.latitude),
                         remedy="Check the position; latitude comes first.")
     room = wishes.top - building.obstacles.highest
     if room < wishes.clearance:
         raise PlanError(
-            f"The ceiling of {wishes.ceiling:.0f} m above take-off leaves {max(room, 0):.0f} m above the highest thing "
-            f"on the site, less than the clearance of {wishes.clearance:.0f} m.",
+            Text("The ceiling of {:.0f} m above take-off leaves {:.0f} m above the highest thing on the site, less "
+                 "than the clearance of {:.0f} m.", wishes.ceiling, max(room, 0), wishes.clearance),
             remedy="Raise the ceiling if the law allows it, take off from higher ground, or allow less clearance.")
 
 
@@ -140,8 +142,9 @@ def _clear(leg: Leg, building: Building, wishes: Wishes, notes: list[str]) -> Le
         near[near] = building.obstacles.clearance(places[near], wishes.clearance) < wishes.clearance - 1e-6
     fits = places[:, 2] <= wishes.top + 1e-6
     if not fits.any():
-        raise PlanError(f"{leg.name}: no photo of it can be taken {wishes.clearance:.0f} m clear of everything and "
-                        f"below {wishes.ceiling:.0f} m.", remedy="Raise the ceiling or allow less clearance.")
+        raise PlanError(Text("{}: no photo of it can be taken {:.0f} m clear of everything and below {:.0f} m.",
+                             Text(leg.name), wishes.clearance, wishes.ceiling),
+                             remedy="Raise the ceiling or allow less clearance.")
     if raised.any():
         slant = leg.distance * np.cos(np.radians(pitches))
         drop = -leg.distance * np.sin(np.radians(pitches)) + places[:, 2] - leg.places[:, 2]
@@ -169,7 +172,7 @@ def _flights(legs: list[Leg], building: Building, drone: Drone, wishes: Wishes) 
             tried = [*_way(None, stop, home, cruise, building, wishes), stop]
             flight = _flown([*tried, *_back(stop, home, cruise)], home, wishes, drone)
         if flight.minutes > usable:
-            raise PlanError(f"One battery of this drone does not reach {stop.leg} and come back.",
+            raise PlanError(Text("One battery of this drone does not reach {} and come back.", Text(stop.leg)),
                             remedy="Take off nearer to the building.")
         current = tried
     flights.append(_flown([*current, *_back(current[-1], home, cruise)], home, wishes, drone))

@@ -7,6 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..base.errors import PlanError
+from ..base.language import Text
 
 MOST_PHOTOS = 3000  # of one form
 
@@ -86,7 +87,7 @@ def lines(outline: np.ndarray, direction: float, across: float, along: float, ma
 def _bounded(count: float) -> int:
     """Rounded up, at least 1; raises PlanError for far more photos than anybody takes."""
     if count > MOST_PHOTOS:
-        raise PlanError(f"This plan would need {count:,.0f} photos.",
+        raise PlanError(Text("This plan would need {:,.0f} photos.", count),
                         remedy="Ask for more millimetres a pixel or less overlap, or plan a part of the site.")
     return max(int(np.ceil(count)), 1)
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..base.errors import PlanError
 from ..base.geodesy import geodetic_to_enu
+from ..base.language import Text
 from ..base.reading import parse_json, read_bytes
 from ..base.records import GeoPosition
 from . import obstacles
@@ -44,7 +45,8 @@ def of_ring(outer: float, inner: float, height: float, *, eaves: float | None = 
     Raises PlanError where the court is no smaller than the building.
     """
     if inner >= outer:
-        raise PlanError(f"The court's diameter of {inner:g} m is not smaller than the building's, {outer:g} m.",
+        raise PlanError(Text("The court's diameter of {:g} m is not smaller than the building's, {:g} m.", inner,
+                             outer),
                         remedy="Give the outer diameter first.")
     angles = np.linspace(0, 2 * np.pi, 72, endpoint=False)
     circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
@@ -60,17 +62,19 @@ def of_file(path: Path, height: float, *, eaves: float | None = None) -> Buildin
         text = read_bytes(path, MOST_FILE).decode("utf-8-sig")
         rings = _geojson(parse_json(text)) if text.lstrip().startswith("{") else _kml(text)
     except (OSError, ValueError, LookupError, TypeError, ElementTree.ParseError) as error:
-        raise PlanError(f"{path} cannot be read as a polygon ({error}).",
+        raise PlanError(Text("{} cannot be read as a polygon ({}).", path, Text(str(error))),
                         remedy="Draw the outline in a map program and save it as GeoJSON or KML.", path=path) from error
     if not rings:
-        raise PlanError(f"{path} holds no polygon.", remedy="Draw the outline as an area, not as a line or a point.",
+        raise PlanError(Text("{} holds no polygon.", path),
+                        remedy="Draw the outline as an area, not as a line or a point.",
                         path=path)
     if max(len(ring) for ring in rings) > MOST_CORNERS:
-        raise PlanError(f"The outline in {path} has more than {MOST_CORNERS} corners.", remedy="Draw it simpler.",
+        raise PlanError(Text("The outline in {} has more than {} corners.", path,
+                             MOST_CORNERS), remedy="Draw it simpler.",
                         path=path)
     places = np.concatenate(rings)
     if not np.isfinite(places).all() or np.abs(places[:, 1]).max() > 90 or np.abs(places[:, 0]).max() > 180:
-        raise PlanError(f"The outline in {path} is not in longitude and latitude.",
+        raise PlanError(Text("The outline in {} is not in longitude and latitude.", path),
                         remedy="Save it in WGS84 (EPSG:4326), in degrees, longitude first.", path=path)
     first = places[0, 0]
     longitudes = first + (places[:, 0] - first + 180) % 360 - 180  # an outline may lie on both sides of 180 degrees
@@ -130,7 +134,8 @@ def _building(outline: np.ndarray, court: np.ndarray | None, height: float, eave
     outline = outline if area(outline) > 0 else outline[::-1]
     across = float(np.ptp(outline, axis=0).max())
     if not np.isfinite(across) or across > MOST_ACROSS:
-        raise PlanError(f"The outline is {across:.0f} m across.", remedy="Check its corners and its units: metres.")
+        raise PlanError(Text("The outline is {:.0f} m across.", across),
+                        remedy="Check its corners and its units: metres.")
     if court is not None:
         court = court if area(court) > 0 else court[::-1]
     return Building(outline=outline, height=height, eaves=min(eaves or 0.85 * height, height), court=court,

@@ -11,6 +11,7 @@ from math import cos, radians, sin
 import numpy as np
 
 from ..base.errors import SurfaceError
+from ..base.language import Text
 
 Letters = Callable[[str], np.ndarray]  # a text to triangles (N,3,2) about 1 high, from (0, 0) on the base line
 PAPERS = {"A4": (297, 210), "A3": (420, 297), "A2": (594, 420), "A1": (841, 594), "A0": (1189, 841)}
@@ -91,7 +92,7 @@ def paper_for(width: float, height: float) -> tuple[str, bool]:
             if width <= available[0] and height <= available[1]:
                 return name, upright
     raise SurfaceError(
-        f"The drawing would be {width / 1000:.2f} x {height / 1000:.2f} m: no paper up to A0 holds it.",
+        Text("The drawing would be {:.2f} x {:.2f} m: no paper up to A0 holds it.", width / 1000, height / 1000),
         remedy="Choose a smaller scale, such as 1:200, or a region box about less.",
     )
 

@@ -17,6 +17,7 @@ from fontTools.ttLib import TTFont, TTLibError, newTable
 from PIL import ImageFont
 
 from ..base.errors import WorkspaceError
+from ..base.language import Text
 
 LATIN = "".join(map(chr, [*range(0x20, 0x7F), *range(0xA0, 0x100)])).replace("\xad", "") + "–—‘’“”…−×"
 LATIN_FONT = Path(reportlab.__file__).parent / "fonts" / "Vera.ttf"
@@ -54,7 +55,7 @@ def letters_of(wanted: set[str], file: Path | None) -> Letters:
             content = io.BytesIO()
             font.save(content)
     except (OSError, TTLibError) as error:
-        raise WorkspaceError(f"{path} is no font that can be read ({error}).", path=path,
+        raise WorkspaceError(Text("{} is no font that can be read ({}).", path, Text(str(error))), path=path,
                              remedy="Choose a TrueType, OpenType or WOFF2 file.") from error
     return Letters(content.getvalue(), lacks)
 

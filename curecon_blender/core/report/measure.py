@@ -15,6 +15,7 @@ from ..adjust.precision_record import Precision, read_precision
 from ..adjust.record import Accuracy, PhotoResidual, PointResidual, read_accuracy
 from ..base.errors import WorkspaceError
 from ..base.ground import LEVEL, lowest_wide_level
+from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.records import Component, Frame, Photo, View
 from ..cloud.edits import read_removed
@@ -111,7 +112,7 @@ def measure(
     removed = read_removed(path, len(cloud))
     kept = cloud if removed is None else cloud.take(~removed)
     if not len(kept):
-        raise WorkspaceError(f"All points of {path} were removed by hand.", path=path,
+        raise WorkspaceError(Text("All points of {} were removed by hand.", path), path=path,
                              remedy="Take points back in, or run Reconstruct again.")
     near, reach = subject(kept.points)
     shown = kept.take(near)

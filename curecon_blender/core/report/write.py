@@ -44,7 +44,7 @@ def write_report(
     SparseError and PhotoError, and Cancelled."""
     finished = [(component, standing) for component, standing in parts if (workspace / component.cloud).exists()]
     if not finished:
-        raise WorkspaceError(f"{workspace} has no point cloud yet.", remedy="Run Reconstruct to the end first.",
+        raise WorkspaceError(Text("{} has no point cloud yet.", workspace), remedy="Run Reconstruct to the end first.",
                              path=workspace)
     placed = {view.name for component, _ in parts for view in component.views}
     provenance = trace(photo_set, placed, workspace, about, rest.weights, rest.settings, rest.minutes, reporter)
@@ -84,8 +84,8 @@ def _letters(
     needed = set().union(*names, *language.words.values())
     letters = letters_of(needed | set(LATIN), font)
     if lacking := "".join(sorted(needed & set(letters.lacks))):
-        reporter.warning(f"The font of PDF and maps has no letters for {lacking[:20]}: they are boxes there. Name "
-                         "another font.")
+        reporter.warning(Text("The font of PDF and maps has no letters for {}: they are boxes there. Name another "
+                              "font.", lacking[:20]))
     return letters
 
 

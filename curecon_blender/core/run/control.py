@@ -12,6 +12,7 @@ from ..adjust.control import ControlSet, read_control, write_control
 from ..adjust.control_files import import_files, write_odm
 from ..adjust.targets import find_targets
 from ..base.errors import ControlError
+from ..base.language import Text
 from ..base.messages import Reporter
 from ..photos.record import FILE_NAME, read_photos
 from .workspace import Workspace
@@ -64,10 +65,10 @@ def _mark_targets(workspace: Workspace, control: ControlSet, dictionary: str, re
     marks, unknown = find_targets(read_photos(workspace.root).photos, control, dictionary, reporter)
     if unknown:
         numbers = ", ".join(f"{number} ({count} photos)" for number, count in sorted(unknown.items())[:8])
-        reporter.warning(f"Targets whose numbers no point's name ends in were left out: {numbers}.")
+        reporter.warning(Text("Targets whose numbers no point's name ends in were left out: {}.", numbers))
     if not marks:
         raise ControlError(
-            f"No coded target of the kind {dictionary} that is a point was found in the photos.",
+            Text("No coded target of the kind {} that is a point was found in the photos.", dictionary),
             remedy="Choose the targets' own dictionary, and name the points by their numbers, such as gcp7; or mark "
             "them by hand.",
         )

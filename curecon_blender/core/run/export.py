@@ -12,6 +12,7 @@ import numpy as np
 
 from ..base.errors import CuReconError, SetupError, WorkspaceError
 from ..base.files import DELIVERABLES, disk_errors
+from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.options import LOCAL
 from ..base.records import Component
@@ -36,7 +37,7 @@ def export(
     out. Raises WorkspaceError, Cancelled, and what hinders the first one where none can be made."""
     if not (folder / "workspace.json").is_file():
         raise WorkspaceError(
-            f"{folder} is not a workspace of CU-Recon.", path=folder,
+            Text("{} is not a workspace of CU-Recon.", folder), path=folder,
             remedy="Choose the folder that Reconstruct made, or run Reconstruct first.",
         )
     formats = tuple(dict.fromkeys(formats))
@@ -49,7 +50,7 @@ def export(
         root = workspace.root
         components = [one for one in views_record.read(root) if (root / one.cloud).exists()]
         if not components:
-            raise WorkspaceError(f"{root} has no point cloud yet.", remedy="Run Reconstruct to the end first.",
+            raise WorkspaceError(Text("{} has no point cloud yet.", root), remedy="Run Reconstruct to the end first.",
                                  path=root)
         destination = _destination(root / DELIVERABLES / frame if to is None else to.absolute(), frame)
         for name in formats:
@@ -64,7 +65,7 @@ def export(
                     left_out.append({"format": name, "part": number, "why": error.message,
                                      "remedy": error.remedy})
                     told = f"{name} is left out: {error.message} {error.remedy}"
-                    reporter.warning(f"Part {number}: {told}" if len(components) > 1 else told)
+                    reporter.warning(Text("Part {}: {}", number, Text(told)) if len(components) > 1 else told)
                     continue
                 words = words or site.words
                 made += [{"format": name, "part": number, "file": str(path), "says": said,
@@ -84,7 +85,7 @@ def _destination(folder: Path, frame: str) -> Path:
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except (FileExistsError, NotADirectoryError) as error:
-            raise WorkspaceError(f"{folder} cannot be a folder: a file is in the way.",
+            raise WorkspaceError(Text("{} cannot be a folder: a file is in the way.", folder),
                                  remedy="Choose another folder.", path=folder) from error
         if not any(not entry.name.startswith(".") for entry in folder.iterdir()):
             return folder
@@ -94,10 +95,11 @@ def _destination(folder: Path, frame: str) -> Path:
         except FileNotFoundError:
             first = ""
     if not first.startswith(_TITLE):
-        raise WorkspaceError(f"{folder} is not empty, and its files are not of an export before.", path=folder,
+        raise WorkspaceError(Text("{} is not empty, and its files are not of an export before.", folder), path=folder,
                              remedy="Choose an empty folder, or a new one.")
     if first != f"{_TITLE}{frame}":
-        raise WorkspaceError(f"{folder} holds deliverables of another frame ({first.removeprefix(_TITLE)}).",
+        raise WorkspaceError(Text("{} holds deliverables of another frame ({}).", folder,
+                                  Text(first.removeprefix(_TITLE))),
                              remedy="Choose an empty folder, or a new one.", path=folder)
     return folder
 

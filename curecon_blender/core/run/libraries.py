@@ -29,6 +29,7 @@ from typing import Any
 
 from ..base.errors import SetupError
 from ..base.files import disk_errors, partial_path
+from ..base.language import Text
 from ..base.messages import Reporter
 from .nvidia import find_card
 
@@ -91,7 +92,8 @@ def make(
     if lock is None:
         version = f"{sys.version_info.major}.{sys.version_info.minor}"
         raise SetupError(
-            f"There are no libraries for Python {version} on this system ({platform.system()}, {platform.machine()}).",
+            Text("There are no libraries for Python {} on this system ({}, {}).", version, platform.system(),
+                 platform.machine()),
             remedy="Use Blender 4.5 or 5.2 from blender.org, or name a Worker Python that has torch and pycolmap.",
             path=sys.executable,
         )
@@ -189,17 +191,17 @@ def _failed(what: str, words: str) -> SetupError:
     last = [line for line in words.splitlines() if line.startswith("ERROR")] or words.splitlines()[-1:]
     if "DO NOT MATCH THE HASHES" in words:
         return SetupError(
-            f"What the package index has for {what} is not the file that this CU-Recon was made with.",
+            Text("What the package index has for {} is not the file that this CU-Recon was made with.", what),
             remedy="Nothing of it was used. Try another package index, or another network.",
         )
     if "Could not find a version" in words or "No matching distribution" in words:
         return SetupError(
-            f"The package index could not be reached, or does not have {what}.",
+            Text("The package index could not be reached, or does not have {}.", what),
             remedy="Check the connection to the internet and, if one is set, the Package Index in the add-on's "
                    "preferences; then press again: what has come already is kept.",
         )
     return SetupError(
-        f"pip could not bring {what}: {' '.join(last)[-LAST_WORDS:]}",
+        Text("pip could not bring {}: {}", what, ' '.join(last)[-LAST_WORDS:]),
         remedy="Check the connection and the free disk space, then press again: what has come already is kept.",
     )
 
@@ -212,7 +214,7 @@ def _pip() -> list[str]:
         for wheel in sorted((Path(carried.origin).parent / "_bundled").glob("pip-*.whl")):
             return [sys.executable, str(wheel / "pip")]
     raise SetupError(
-        f"The Python at {sys.executable} comes without pip, which brings the libraries.",
+        Text("The Python at {} comes without pip, which brings the libraries.", sys.executable),
         remedy="Use Blender from blender.org, or name a Worker Python that has torch and pycolmap.",
         path=sys.executable,
     )

@@ -12,6 +12,7 @@ from typing import Any
 
 from ..base.allocator import release
 from ..base.errors import DeviceError, WorkspaceError, ran_out_of_memory
+from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.options import STAGES as NAMES
 from ..base.options import SURFACE_STAGES, Options
@@ -39,7 +40,7 @@ def reconstruct(options: Options, reporter: Reporter) -> dict[str, Any]:
         stages = [stage for stage in stages if stage.name in SURFACE_STAGES]
         if not (options.workspace / "workspace.json").is_file():
             raise WorkspaceError(
-                f"{options.workspace} is not a workspace of CU-Recon.", path=options.workspace,
+                Text("{} is not a workspace of CU-Recon.", options.workspace), path=options.workspace,
                 remedy="Choose the folder that Reconstruct made, or run Reconstruct first.",
             )
     reporter.begin({stage.name: stage.weight for stage in stages})
@@ -80,7 +81,7 @@ def check(options: Options, thumbnails: Path | None, reporter: Reporter) -> dict
     try:
         slowness = cost.slowness_here(options.device, options.speeds)
     except DeviceError as error:
-        reporter.warning(f"{error.message} {error.remedy}")
+        reporter.warning(Text("{} {}", error.message, error.remedy))
         slowness = cost.slowness_here("cpu", options.speeds)
     return {
         **summary, **cost.free(options.workspace), "presets": cost.predict_all(photo_set.photos, options, slowness),
@@ -92,7 +93,8 @@ def _begin_from_cloud(job: Job) -> None:
     record = job.workspace.record("fusion")
     if record is None:
         raise WorkspaceError(
-            f"The cloud of {job.root} is not finished.", remedy="Run Reconstruct to the end first.", path=job.root,
+            Text("The cloud of {} is not finished.", job.root),
+            remedy="Run Reconstruct to the end first.", path=job.root,
         )
     job.photo_set = read_photos(job.root)
     job.components, job.key = views_record.read(job.root), record.key
@@ -137,7 +139,7 @@ def _run(stage: Stage, job: Job) -> None:
             raise
     # Outside of the except block, or the traceback would hold on to what filled the memory.
     release()
-    job.reporter.warning(f"Memory ran out: {stage.name} goes on with half the memory budget.")
+    job.reporter.warning(Text("Memory ran out: {} goes on with half the memory budget.", stage.name))
     job.options = replace(job.options, half_memory=True)
     stage.run(job)
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 from ..base.errors import PlanError
+from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.records import GeoPosition
 from ..cloud.ply import read_cloud
@@ -47,7 +48,7 @@ def _building(given: argparse.Namespace) -> Building:
     if given.position is not None:
         latitude, longitude = given.position
         if not (abs(latitude) <= 90 and abs(longitude) <= 180):
-            raise PlanError(f"{latitude:g}, {longitude:g} is no position on Earth.",
+            raise PlanError(Text("{:g}, {:g} is no position on Earth.", latitude, longitude),
                             remedy="Give latitude, then longitude, in degrees.")
         origin = GeoPosition(latitude=latitude, longitude=longitude, altitude=None)
     if given.workspace is not None:

@@ -9,6 +9,7 @@ from typing import Any
 
 from ..base import language
 from ..base.errors import WorkspaceError
+from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.options import STAGES
 from ..base.records import Component
@@ -28,7 +29,7 @@ def report(folder: Path, about: About, language_name: str, font: Path | None, re
     format, as `report`. Raises WorkspaceError, SparseError, PhotoError, Cancelled."""
     if not (folder / "workspace.json").is_file():
         raise WorkspaceError(
-            f"{folder} is not a workspace of CU-Recon.", path=folder,
+            Text("{} is not a workspace of CU-Recon.", folder), path=folder,
             remedy="Choose the folder that Reconstruct made, or run Reconstruct first.",
         )
     reporter.begin({"report": 1.0})

@@ -22,6 +22,7 @@ import psutil
 import torch
 
 from ..base.errors import CuReconError, SetupError, SparseError
+from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.options import Options
 from ..cloud.fuse import NoPointsError
@@ -118,7 +119,7 @@ def _pattern(points: np.ndarray) -> np.ndarray:
 
 def _broken(what: str) -> CuReconError:
     return SetupError(
-        f"The libraries load, but the synthetic views were not reconstructed as they should be. {what}",
+        Text("The libraries load, but the synthetic views were not reconstructed as they should be. {}", Text(what)),
         remedy="Please report this with the diagnostics; another device or Worker Python may work.",
         path=sys.executable,
     )

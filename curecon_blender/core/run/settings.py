@@ -9,6 +9,7 @@ from pathlib import Path
 
 from ..base.errors import WorkspaceError
 from ..base.files import write_json
+from ..base.language import Text
 from ..base.options import Options
 from ..base.reading import build, read_json
 
@@ -37,5 +38,5 @@ def read_settings(workspace: Path) -> dict[str, str]:
     except FileNotFoundError:
         return {}
     except (OSError, ValueError) as error:
-        raise WorkspaceError(f"{path} is damaged ({error}).", path=path,
+        raise WorkspaceError(Text("{} is damaged ({}).", path, Text(str(error))), path=path,
                              remedy="Delete it; the next Reconstruct writes it again.") from error

@@ -21,6 +21,7 @@ from ..adjust.control import ControlSet, read_control, to_json
 from ..adjust.control_frame import tell_checks
 from ..base.errors import PhotoError, SparseError, SurfaceError, WorkspaceError
 from ..base.files import scratch_folder
+from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.options import Options
 from ..base.records import Component, PhotoSet
@@ -112,8 +113,9 @@ def _load_photos(job: Job) -> None:
     job.photo_set = read_photos(job.root)
     if not {photo.path for photo in job.photo_set.photos} <= set(job.files):
         raise WorkspaceError(
-            f"{job.root / photos_record.FILE_NAME} names photos that are not in {job.options.photos}.", path=job.root,
-            remedy=f"Delete the folder {job.root / 'stages'} and run Reconstruct again.",
+            Text("{} names photos that are not in {}.", job.root / photos_record.FILE_NAME,
+                 job.options.photos), path=job.root,
+            remedy=Text("Delete the folder {} and run Reconstruct again.", job.root / 'stages'),
         )
     job.key = key_of([{**asdict(photo), "path": None} for photo in job.photo_set.photos])
 
@@ -258,7 +260,7 @@ def _each_surface(job: Job, components: list[Component], run: Callable[[Componen
             run(component)
         except SurfaceError as error:
             failures.append(error)
-            job.reporter.warning(f"Part {component.index + 1}: {error.message}")
+            job.reporter.warning(Text("Part {}: {}", component.index + 1, error.message))
     if failures and len(failures) == len(components):
         raise failures[0]
 
@@ -309,7 +311,7 @@ def _photos_must_stay(job: Job) -> Iterator[None]:
             if now != job.files[photo.path]:
                 what = "changed" if now else "moved or deleted"
                 raise PhotoError(
-                    f"{photo.path.name} was {what} while the job was running.",
+                    Text("{} was {} while the job was running.", photo.path.name, Text(what)),
                     remedy="Put it back if it should be used, then run it again: the photos are checked anew.",
                     path=photo.path,
                 )
@@ -329,7 +331,7 @@ def _digest(model: Path) -> str:
     files = sorted(p for p in model.rglob("*") if p.suffix in (".bin", ".txt")) if model.is_dir() else []
     if not files:
         raise SparseError(
-            f"{model} holds no COLMAP model.", path=model,
+            Text("{} holds no COLMAP model.", model), path=model,
             remedy="Choose the folder with cameras, images and points3D as .bin or .txt.",
         )
     digest = hashlib.sha256()

@@ -23,6 +23,7 @@ from typing import Any, TextIO
 
 from ..base import messages
 from ..base.errors import CuReconError, OutOfMemory, SetupError, ran_out_of_memory
+from ..base.language import Text
 from ..base.messages import Message, Reporter
 from ..base.options import CONTROL, EXPORT, FRAMES, LIBRARIES, PLAN
 from .command_line import choices_of, options_of, parser
@@ -67,7 +68,7 @@ def main(arguments: list[str] | None = None) -> int:
         if ran_out_of_memory(error):
             return fail(OutOfMemory())
         sink(messages.Failure(
-            kind="fault", message=f"CU-Recon failed: {type(error).__name__}: {error}",
+            kind="fault", message=Text("CU-Recon failed: {}: {}", type(error).__name__, Text(str(error))),
             remedy="Please report this with the log; running again goes on from the last finished photo.",
         ))
         return 1
@@ -131,15 +132,16 @@ def _require_libraries(names: Sequence[str], *, by_hand: bool) -> None:
             if by_hand:
                 remedy = f"Run {sys.executable} -m pip install -r {REQUIREMENTS}"
             raise SetupError(
-                f"CU-Recon lacks a library that it computes with: {error.name or name}.", remedy=remedy,
+                Text("CU-Recon lacks a library that it computes with: {}.", error.name or name), remedy=remedy,
                 path=sys.executable,
             ) from error
         except (ImportError, OSError) as error:  # it is there; torch raises OSError for a missing DLL
             missing = ("Install Microsoft's Visual C++ Redistributable (x64) and start Blender again"
                        if sys.platform == "win32" else "Install the CU-Recon zip again")
             raise SetupError(
-                f"The Python at {sys.executable} cannot load {name}: {error}",
-                remedy=f"{missing}, or choose another Worker Python in the add-on's preferences.", path=sys.executable,
+                Text("The Python at {} cannot load {}: {}", sys.executable, name, Text(str(error))),
+                remedy=Text("{}, or choose another Worker Python in the add-on's preferences.",
+                            Text(missing)), path=sys.executable,
             ) from error
 
 

@@ -20,6 +20,7 @@ from typing import IO, Annotated, Any
 
 from ..base.errors import WorkspaceError
 from ..base.files import JOB_FOLDERS, disk_errors, remove_partials, write_json
+from ..base.language import Text
 from ..base.reading import FARTHEST, INSIDE, Within, build, read_json
 
 FORMAT = 1
@@ -62,7 +63,7 @@ class Workspace:
                 self.root.mkdir(parents=True, exist_ok=True)
             except (FileExistsError, NotADirectoryError) as error:
                 raise WorkspaceError(
-                    f"The workspace {self.root} cannot be a folder: a file is in the way.",
+                    Text("The workspace {} cannot be a folder: a file is in the way.", self.root),
                     remedy="Choose another workspace folder.", path=self.root,
                 ) from error
             refuse_links(self.root)
@@ -86,7 +87,7 @@ class Workspace:
         self._lock.close()  # the operating system lets go of the lock, as it does when the process is killed
         if value is not None and not self.root.is_dir():  # whatever else was found missing, this is why
             raise WorkspaceError(
-                f"The workspace {self.root} is gone: it was moved or deleted, or its drive does not answer.",
+                Text("The workspace {} is gone: it was moved or deleted, or its drive does not answer.", self.root),
                 remedy="Connect the drive again or put the folder back, then run it again: finished work is kept.",
                 path=self.root,
             ) from value
@@ -116,8 +117,8 @@ class Workspace:
         free = shutil.disk_usage(self.root).free
         if free < bytes_needed:
             raise WorkspaceError(
-                f"The disk of {self.root} has {free / 2**30:.1f} GiB free; this job needs about "
-                f"{bytes_needed / 2**30:.1f} GiB.",
+                Text("The disk of {} has {:.1f} GiB free; this job needs about {:.1f} GiB.", self.root, free / 2**30,
+                     bytes_needed / 2**30),
                 remedy="Free some space, choose a workspace on another disk, or a lower quality.", path=self.root,
             )
 
@@ -139,7 +140,7 @@ def refuse_links(root: Path) -> None:
         for path in (Path(folder, name) for name in [*folders, *links]):
             if not Path(os.path.realpath(path)).is_relative_to(real):
                 raise WorkspaceError(
-                    f"{path} is a link that leads out of the workspace: files would be changed elsewhere.",
+                    Text("{} is a link that leads out of the workspace: files would be changed elsewhere.", path),
                     remedy="Remove that link if somebody gave you this workspace, or put the folder itself there.",
                     path=path,
                 )
@@ -150,12 +151,12 @@ def _check_format(marker: Path) -> None:
         found = build(int, build(dict, read_json(marker)).get("format"), "format")
     except (OSError, ValueError) as error:
         raise WorkspaceError(
-            f"{marker} is damaged ({error}).", path=marker,
+            Text("{} is damaged ({}).", marker, Text(str(error))), path=marker,
             remedy="Choose a new workspace folder; your photos are untouched.",
         ) from error
     if found > FORMAT:
         raise WorkspaceError(
-            f"The workspace {marker.parent} was made by a newer version of CU-Recon.",
+            Text("The workspace {} was made by a newer version of CU-Recon.", marker.parent),
             remedy="Update CU-Recon, or choose another workspace folder.", path=marker.parent,
         )
 
@@ -174,11 +175,11 @@ def _lock(file: IO[bytes], root: Path) -> None:
             file.close()
             if error.errno in _NO_LOCKS:
                 raise WorkspaceError(
-                    f"The drive of {root} cannot lock files, so two jobs could spoil each other's work.",
+                    Text("The drive of {} cannot lock files, so two jobs could spoil each other's work.", root),
                     remedy="Choose a workspace folder on a local drive.", path=root,
                 ) from error
             raise WorkspaceError(
-                f"Another CU-Recon job is using the workspace {root}.",
+                Text("Another CU-Recon job is using the workspace {}.", root),
                 remedy="Wait for it, cancel it, or choose another workspace folder.", path=root,
             ) from error
 

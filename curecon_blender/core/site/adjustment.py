@@ -20,6 +20,7 @@ import numpy as np
 from ..base import rotations
 from ..base.errors import CuReconError, WorkspaceError
 from ..base.files import disk_errors, write_json
+from ..base.language import Text
 from ..base.reading import FARTHEST, OneOf, Shape, Within, build, parse_json, read_json
 from ..base.records import Frame
 
@@ -233,7 +234,7 @@ def read(folder: Path) -> Adjustment:
         return Adjustment()
     except (OSError, ValueError) as error:
         raise WorkspaceError(
-            f"{path} is damaged ({error}).", path=path,
+            Text("{} is damaged ({}).", path, Text(str(error))), path=path,
             remedy="Delete that file and import again: the site comes as it was reconstructed.",
         ) from error
 

@@ -23,6 +23,7 @@ import pycolmap
 from ..base.errors import WorkspaceError
 from ..base.files import disk_errors, write_json
 from ..base.images import read_rgb, readers
+from ..base.language import Text
 from ..base.reading import build, read_json
 from ..base.records import Photo
 from .parallel import Step, in_order, threads
@@ -68,7 +69,7 @@ def open_database(path: Path, photos: tuple[Photo, ...], settings: FeatureSettin
         if "SQLite" not in str(error) and "database" not in str(error):
             raise
         raise WorkspaceError(
-            f"The feature database {path} could not be written ({error}).",
+            Text("The feature database {} could not be written ({}).", path, Text(str(error))),
             remedy="Free some space, or choose a workspace folder on a local disk that you may write to.", path=path,
         ) from error
 

@@ -12,6 +12,7 @@ import torch
 
 from ..base.errors import SparseError
 from ..base.images import read_rgb
+from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.options import Options
 from ..base.records import Photo, PhotoSet
@@ -49,7 +50,7 @@ def reconstruct(photo_set: PhotoSet, options: Options, workspace: Path, reporter
     models = _map(photos, _database_path(workspace), options, meter)
     if not models:
         raise SparseError(
-            f"The cameras could not be found: no three of the {len(photos)} photos overlap enough to be joined.",
+            Text("The cameras could not be found: no three of the {} photos overlap enough to be joined.", len(photos)),
             remedy="Take photos that share at least two thirds of their view with the next one, of a subject with "
                    "texture, and leave out blurred ones.",
         )
@@ -83,7 +84,7 @@ def import_model(
     for model, _ in components:
         unused -= {model.image(i).name for i in model.reg_image_ids()}
     if unused:
-        reporter.warning(f"{len(unused)} photos are not in the model: {listed(sorted(unused))}.")
+        reporter.warning(Text("{} photos are not in the model: {}.", len(unused), listed(sorted(unused))))
     components.sort(key=lambda component: -component[0].num_reg_images())
     write_components(workspace, MAPPED, components)
 
@@ -164,14 +165,14 @@ def _warn_of_gaps(models: list[pycolmap.Reconstruction], photos: tuple[Photo, ..
     left = [photo.name for photo in photos if photo.name not in placed]
     if left:
         reporter.warning(
-            f"{len(left)} of {len(photos)} photos could not be placed and are not used: {listed(left)}. "
-            "They overlap too little with the others."
+            Text("{} of {} photos could not be placed and are not used: {}. They overlap too little with the others.",
+                 len(left), len(photos), listed(left))
         )
     if len(models) > 1:
         sizes = ", ".join(str(model.num_reg_images()) for model in models)
         reporter.warning(
-            f"The photos fall into {len(models)} separate parts ({sizes} photos) that could not be joined: each is "
-            "reconstructed on its own. Photos that overlap both parts would join them."
+            Text("The photos fall into {} separate parts ({} photos) that could not be joined: each is "
+                 "reconstructed on its own. Photos that overlap both parts would join them.", len(models), sizes)
         )
 
 

@@ -13,6 +13,7 @@ import pycolmap
 
 from ..base.errors import SparseError
 from ..base.geodesy import ecef_to_geodetic, enu_from_ecef, geodetic_to_enu
+from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.records import ELLIPSOID, Frame, GeoPosition, Photo, PhotoSet
 from ..photos.record import photo_finder
@@ -47,12 +48,14 @@ def fit_to_photos(
             matched[image_id] = photo
     if len(matched) < 3:
         raise SparseError(
-            f"Only {len(matched)} of the {model.num_reg_images()} images in the model {folder} are among the photos.",
+            Text("Only {} of the {} images in the model {} are among the photos.", len(matched), model.num_reg_images(),
+                 folder),
             remedy="Choose the folder with the photos from which the model was made; their file names must agree.",
             path=folder,
         )
     if missing:
-        reporter.warning(f"{len(missing)} images of the model have no photo and were left out: {listed(missing)}.")
+        reporter.warning(Text("{} images of the model have no photo and were left out: {}.", len(missing),
+                              listed(missing)))
     model = _one_by_one(model, {image_id: photo.name for image_id, photo in matched.items()})
     _scale_to_photos(model, matched, folder)
     model.update_point_3d_errors()
@@ -67,8 +70,8 @@ def _scale_to_photos(model: pycolmap.Reconstruction, matched: dict[int, Photo], 
         first = sizes.setdefault(camera.camera_id, (photo.width, photo.height))
         if abs(ratio - 1) > SIZE_TOLERANCE or first != (photo.width, photo.height):
             raise SparseError(
-                f"{photo.name} has {photo.width}x{photo.height} pixels, but its camera in the model {folder} has "
-                f"{camera.width}x{camera.height}.",
+                Text("{} has {}x{} pixels, but its camera in the model {} has {}x{}.", photo.name, photo.width,
+                     photo.height, folder, camera.width, camera.height),
                 remedy="Use the photos from which the model was made (scaled evenly at most, not cropped or turned).",
                 path=photo.path,
             )

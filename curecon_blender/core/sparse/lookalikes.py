@@ -23,6 +23,7 @@ from scipy.spatial import cKDTree
 from ..base import rotations
 from ..base.files import scratch_folder
 from ..base.geodesy import gps_enu
+from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.records import Photo
 from .features import image_ids
@@ -310,16 +311,14 @@ def without_lookalikes(
         joined = without(apart)
         if joined.tears < now.tears:
             now, cut = joined, apart
-    if not cut:
-        return models
-    moved = [photos[i].name for i in _moved(before.placed, now.placed)]
+    moved = [photos[i].name for i in _moved(before.placed, now.placed)] if cut else []
     if not moved or 2 * now.tears > before.tears or len(now.placed) < len(before.placed):
         return models
-    reporter.warning(
-        f"{len(moved)} photos seemed to stand on the wrong side of the building, where another side looks like their "
-        f"own: {listed(moved)}. {len(cut)} joins of photos that their surroundings, the gimbal, GPS or the order of "
-        "capture contradict were cut, and the cameras found once more. Look at the cameras before you trust the model."
-    )
+    reporter.warning(Text(
+        "{} photos seemed to stand on the wrong side of the building, where another side looks like their own: {}. {} "
+        "joins of photos that their surroundings, the gimbal, GPS or the order of capture contradict were cut, and the "
+        "cameras found once more. Look at the cameras before you trust the model.",
+        len(moved), listed(moved), len(cut)))
     return now.models
 
 

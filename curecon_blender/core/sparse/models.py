@@ -18,6 +18,7 @@ import pycolmap
 from ..base.errors import SparseError, WorkspaceError
 from ..base.files import disk_errors, partial_path, write_json
 from ..base.images import MAX_PIXELS
+from ..base.language import Text
 from ..base.reading import FARTHEST
 from ..base.records import Lens
 from .model_files import check_binary
@@ -42,7 +43,7 @@ def find_models(folder: Path) -> list[Path]:
                 return sorted(numbered, key=lambda path: int(path.name))
     what = "does not exist" if not folder.exists() else "holds no COLMAP model (cameras and images, .txt or .bin)"
     raise SparseError(
-        f"{folder} {what}.",
+        Text("{} {}.", folder, Text(what)),
         remedy="Choose the folder with cameras.txt and images.txt, or cameras.bin and images.bin.", path=folder,
     )
 
@@ -69,15 +70,15 @@ def read_model(folder: Path) -> pycolmap.Reconstruction:
             _check_numbers(model)
         except _READ_ERRORS as error:
             raise SparseError(
-                f"The COLMAP model in {folder} cannot be read: its {suffix} files are damaged, cut short or do not "
-                f"belong together ({_first_line(error)}).",
+                Text("The COLMAP model in {} cannot be read: its {} files are damaged, cut short or do not belong "
+                     "together ({}).", folder, suffix, Text(_first_line(error))),
                 remedy="Export the model again (COLMAP: File > Export model), all of its files into one folder.",
                 path=folder,
             ) from error
     for camera in model.cameras.values():
         if not _is_usable(camera):
             raise SparseError(
-                f"Camera {camera.camera_id} of the model in {folder} ({camera.model_name}) cannot be used.",
+                Text("Camera {} of the model in {} ({}) cannot be used.", camera.camera_id, folder, camera.model_name),
                 remedy="Use perspective or fisheye cameras with all of their parameters, not panoramas.", path=folder,
             )
     return model
@@ -98,7 +99,8 @@ def _plain(folder: Path, suffix: str, scratch: Path) -> Path:
             text = (folder / name).read_text(encoding=code)
         except UnicodeError as error:
             raise SparseError(
-                f"{folder / name} is no text ({error}).", remedy="Export the model again.", path=folder / name
+                Text("{} is no text ({}).", folder / name, Text(str(error))),
+                remedy="Export the model again.", path=folder / name
             ) from error
         (scratch / name).write_text(text, encoding="utf-8")
     if not (folder / points).is_file():  # cameras alone
@@ -187,7 +189,8 @@ def _check_written(model: pycolmap.Reconstruction, folder: Path) -> None:
         whole = False
     if not whole:
         raise WorkspaceError(
-            f"The sparse model could not be written whole to {folder.parent}: the disk is full or does not answer.",
+            Text("The sparse model could not be written whole to {}: the disk is full or does not answer.",
+                 folder.parent),
             remedy="Free some space, then run it again: finished work is kept.", path=folder.parent,
         )
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..base import images
 from ..base.errors import PhotoError, WorkspaceError
+from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.sampling import sample
 from ..depth.maps import read_depth
@@ -89,10 +90,10 @@ def _picture(source: Source, reporter: Reporter) -> np.ndarray | None:
     try:
         picture = images.read_rgb(source.picture)
     except PhotoError as error:
-        reporter.warning(f"{error} It gives no texture.", source.view.name)
+        reporter.warning(Text("{} It gives no texture.", error.message), source.view.name)
         return None
     if picture.shape[:2] != (source.view.height, source.view.width):
-        reporter.warning(f"{source.picture.name} has changed its size. It gives no texture.", source.view.name)
+        reporter.warning(Text("{} has changed its size. It gives no texture.", source.picture.name), source.view.name)
         return None
     return picture
 

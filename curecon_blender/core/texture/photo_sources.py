@@ -12,6 +12,7 @@ import pycolmap
 
 from ..base import images
 from ..base.errors import PhotoError, SparseError
+from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.records import Component, View
 from ..sparse.models import read_model
@@ -39,8 +40,8 @@ class Source:
             try:
                 return undistort(images.read_rgb(self.original), self.camera, size)
             except (PhotoError, ValueError) as error:
-                reporter.warning(f"{self.original.name} cannot be read any more ({error}): its texture comes from the "
-                                 "smaller picture in the workspace.", self.view.name)
+                reporter.warning(Text("{} cannot be read any more ({}): its texture comes from the smaller picture "
+                                      "in the workspace.", self.original.name, Text(str(error))), self.view.name)
         rgb = images.read_rgb(self.picture, size)
         return rgb, _scaled(self.view.K, rgb.shape[1] / self.view.width, rgb.shape[0] / self.view.height)
 
@@ -57,12 +58,13 @@ def find_sources(
             continue
         picture, original = workspace / view.image, Path(view.original)
         if not picture.is_file():
-            reporter.warning(f"{picture.name} is missing from the workspace: it gives no texture.", view.name)
+            reporter.warning(Text("{} is missing from the workspace: it gives no texture.", picture.name), view.name)
             continue
         camera = cameras.get(view.name) if view.original else None
         if camera is not None and not original.is_file():
             reporter.warning(
-                f"{original.name} is gone: its texture comes from the smaller picture in the workspace.", view.name
+                Text("{} is gone: its texture comes from the smaller picture in the workspace.",
+                     original.name), view.name
             )
             camera = None
         if camera is not None:

@@ -24,6 +24,7 @@ import numpy as np
 from ..base import images
 from ..base.errors import SurfaceError
 from ..base.files import atomic_write
+from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.records import Component
 from ..base.sampling import sample
@@ -114,14 +115,16 @@ def colour_vertices(mesh: Mesh, component: Component, workspace: Path, reporter:
 def _check(mesh: Mesh, options: TextureOptions) -> None:
     if not PAGE_SIZES[0] <= options.page_size <= PAGE_SIZES[1]:
         raise TextureError(
-            f"A texture page cannot have {options.page_size} pixels a side.",
-            remedy=f"Choose between {PAGE_SIZES[0]} and {PAGE_SIZES[1]}: larger ones do not load on many computers.",
+            Text("A texture page cannot have {} pixels a side.", options.page_size),
+            remedy=Text("Choose between {} and {}: larger ones do not load on many computers.", PAGE_SIZES[0],
+                        PAGE_SIZES[1]),
         )
     if options.max_pages < 1:
         raise TextureError("A texture needs at least one page.", remedy="Allow one page or more.")
     if options.image_size is not None and options.image_size < 1:
         raise TextureError(
-            f"Photos cannot be used at {options.image_size} pixels.", remedy="Leave the size out for full resolution."
+            Text("Photos cannot be used at {} pixels.", options.image_size),
+            remedy="Leave the size out for full resolution."
         )
     if not len(mesh.faces):
         raise TextureError(
@@ -180,7 +183,7 @@ def _lay_out(
     )
     if layout is None:
         raise TextureError(
-            f"The texture does not fit on {options.max_pages} page(s) of {options.page_size} pixels.",
+            Text("The texture does not fit on {} page(s) of {} pixels.", options.max_pages, options.page_size),
             remedy="Choose larger pages or more of them, or build the mesh with fewer faces.",
         )
     return layout
@@ -213,7 +216,7 @@ def _encoded_pages(plan: Bake, sources: list[Source], options: TextureOptions, r
     at_once = int(options.memory_gib * 2**30 // (plan.bytes_per_texel * layout.size**2))
     if at_once < 1:
         raise TextureError(
-            f"A page of {layout.size} pixels does not fit into {options.memory_gib:g} GiB of memory.",
+            Text("A page of {} pixels does not fit into {:g} GiB of memory.", layout.size, options.memory_gib),
             remedy="Choose smaller pages or a larger memory budget.",
         )
     settings = [cv2.IMWRITE_JPEG_QUALITY, 93] if options.jpeg else [cv2.IMWRITE_PNG_COMPRESSION, 3]

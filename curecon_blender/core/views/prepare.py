@@ -12,6 +12,7 @@ import pycolmap
 
 from ..base import images
 from ..base.errors import SparseError
+from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.options import Options
 from ..base.records import Component, PhotoSet, View
@@ -50,7 +51,7 @@ def prepare_views(photo_set: PhotoSet, options: Options, workspace: Path, report
             depths = _sparse_depths(model, image)
             if len(depths) < MIN_POINTS:
                 reporter.warning(
-                    f"{photo.path.name} shares too few points with other photos; it gets no depth.", photo.name
+                    Text("{} shares too few points with other photos; it gets no depth.", photo.path.name), photo.name
                 )
                 continue
             picture = f"undistorted/{image.name}.jpg"

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..base.errors import WorkspaceError
 from ..base.files import write_json
+from ..base.language import Text
 from ..base.reading import FARTHEST, build, read_json
 from ..base.records import Component, View
 from ..base.shares import is_safe
@@ -38,7 +39,7 @@ def read(workspace: Path) -> list[Component]:
             raise ValueError("no record")
         if build(int, content.get("format"), "format") > FORMAT:
             raise WorkspaceError(
-                f"{path} was written by a newer version of CU-Recon.", remedy="Update CU-Recon, then try again.",
+                Text("{} was written by a newer version of CU-Recon.", path), remedy="Update CU-Recon, then try again.",
                 path=path,
             )
         components: list[Component] = list(build(tuple[Component, ...], content.get("components"), "components"))
@@ -46,12 +47,13 @@ def read(workspace: Path) -> list[Component]:
         return [_without_foreign_shares(component, workspace) for component in components]
     except FileNotFoundError as error:
         raise WorkspaceError(
-            f"{workspace} holds no finished cameras ({FILE_NAME} is missing).",
+            Text("{} holds no finished cameras ({} is missing).", workspace, FILE_NAME),
             remedy="Choose the workspace folder of a reconstruction, or run Reconstruct.", path=path,
         ) from error
     except (OSError, ValueError) as error:
         raise WorkspaceError(
-            f"{path} is damaged ({error}).", remedy="Delete that file and run Reconstruct again.", path=path
+            Text("{} is damaged ({}).", path, Text(str(error))),
+            remedy="Delete that file and run Reconstruct again.", path=path
         ) from error
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..base.errors import WorkspaceError
 from ..base.files import atomic_write
+from ..base.language import Text
 from ..base.reading import Expected, read_arrays
 from ..base.records import View
 
@@ -56,6 +57,6 @@ def read(workspace: Path, view: View) -> np.ndarray:
         return found
     except (OSError, ValueError) as error:
         raise WorkspaceError(
-            f"{path} is missing or damaged ({error}).", path=path,
+            Text("{} is missing or damaged ({}).", path, Text(str(error))), path=path,
             remedy="Delete that file, if it is there, and run Reconstruct again.",
         ) from error
