@@ -10,10 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from curecon_blender.core.base import images
 from curecon_blender.core.base.messages import Reporter
+from curecon_blender.core.base.options import Options
+from curecon_blender.core.run.stages import DETAIL_STAGES, Job
+from curecon_blender.core.run.workspace import Workspace
 from curecon_blender.core.surface.detail import simplified
-from curecon_blender.core.surface.mesh import MeshError, filled_share
-from tests.test_texturing import box_mesh
+from curecon_blender.core.surface.mesh import MeshError, detail_folder, filled_share, mesh_file, read_mesh, write_mesh
+from tests import box_scene
+from tests.test_texturing import box_mesh, errors
 
 
 def test_fewer_faces_keep_the_shape_and_what_was_filled(tmp_path: Path) -> None:
@@ -38,3 +43,19 @@ def test_a_mesh_with_few_faces_stays_as_it_is(tmp_path: Path) -> None:
     assert simplified(mesh, len(mesh.faces), tmp_path, Reporter()).faces is mesh.faces
     with pytest.raises(MeshError, match="0 faces"):
         simplified(mesh, 0, tmp_path, Reporter())
+
+
+def test_a_level_of_detail_has_its_own_texture(tmp_path: Path) -> None:
+    component = box_scene.write_scene(tmp_path, [box_scene.make_view(i, 8) for i in range(8)])
+    write_mesh(tmp_path / mesh_file(0), box_mesh(finer=2))
+    options = Options(photos=None, workspace=tmp_path, detail=("150k", "20k"), texture_size=512)
+    with Workspace(tmp_path) as workspace:
+        job = Job(options, workspace, Reporter(), components=[component])
+        for level in options.detail:
+            DETAIL_STAGES[level].run(job)
+    assert not (tmp_path / detail_folder(0, "150k")).exists()  # the mesh has no more faces than that
+    folder = tmp_path / detail_folder(0, "20k")
+    mesh = read_mesh(folder / "mesh.ply")
+    assert 15_000 < len(mesh.faces) <= 20_000
+    pages = [images.read_rgb(folder / page) for page in mesh.pages]
+    assert np.sqrt((errors(mesh, pages, 2.5) ** 2).mean()) < 8

@@ -37,12 +37,13 @@ def quad(corner: tuple[float, ...], u: tuple[float, ...], v: tuple[float, ...], 
     return vertices.reshape(-1, 3), faces
 
 
-def box_mesh() -> Mesh:
-    """The scene's box and 6 x 6 m of its ground, in triangles of 10 to 20 cm; the ground under the box too."""
+def box_mesh(finer: int = 1) -> Mesh:
+    """The scene's box and 6 x 6 m of its ground, in triangles of 10 to 20 cm, or so many times finer; the ground under
+    the box too."""
     quads = [
-        quad((-3, -3, 0), (6, 0, 0), (0, 6, 0), 40), quad((-1, -1, 1.5), (2, 0, 0), (0, 2, 0), 20),
-        quad((-1, -1, 0), (2, 0, 0), (0, 0, 1.5), 20), quad((1, 1, 0), (-2, 0, 0), (0, 0, 1.5), 20),
-        quad((1, -1, 0), (0, 2, 0), (0, 0, 1.5), 20), quad((-1, 1, 0), (0, -2, 0), (0, 0, 1.5), 20),
+        quad((-3, -3, 0), (6, 0, 0), (0, 6, 0), 40 * finer), quad((-1, -1, 1.5), (2, 0, 0), (0, 2, 0), 20 * finer),
+        quad((-1, -1, 0), (2, 0, 0), (0, 0, 1.5), 20 * finer), quad((1, 1, 0), (-2, 0, 0), (0, 0, 1.5), 20 * finer),
+        quad((1, -1, 0), (0, 2, 0), (0, 0, 1.5), 20 * finer), quad((-1, 1, 0), (0, -2, 0), (0, 0, 1.5), 20 * finer),
     ]
     offsets = np.cumsum([0, *(len(vertices) for vertices, _ in quads)])
     vertices = np.concatenate([vertices for vertices, _ in quads]).astype(np.float32)

@@ -2,14 +2,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """From a finished cloud to a mesh and its texture, and the region that they are made of."""
 
+# mypy: disable-error-code="valid-type"
+# Blender reads its properties from annotations that are calls.
+
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
 import bpy
+from bpy.props import EnumProperty
 
-from ..core.base.options import SURFACE, arguments
+from ..core.base.options import DETAILS, SURFACE, arguments
 from ..scene import region
 from ..scene.surface import surfaces_of
 from ..scene.workspace import clouds_of
@@ -17,6 +21,13 @@ from . import paths, running
 from .import_workspace import bring_in
 from .job_options import surface_options
 from .running import Work, WorkerOperator
+
+LEVELS = (
+    ("full", "Full", "All faces that the mesh was made with"),
+    ("1m", "1,000,000 faces", "For presentations on a good computer"),
+    ("150k", "150,000 faces", "For web pages and laptops"),
+    ("20k", "20,000 faces", "For phones and overviews"),
+)
 
 
 class _SurfaceOperator(WorkerOperator):
@@ -76,6 +87,30 @@ A cancelled or broken run goes on where it stopped"""
     until = "texture"
 
 
+class CURECON_OT_detail(_SurfaceOperator, bpy.types.Operator):
+    """Show the surface with fewer faces and a texture of its own, as phones and web pages need it, or in full.
+
+It is made where it is not there yet; what is exported is what is shown"""
+
+    bl_idname = "curecon.detail"
+    bl_label = "Detail"
+    bl_options = {"UNDO"}
+
+    task = "Changing the detail"
+    until = "texture"
+
+    level: EnumProperty(name="Detail", description="How many faces the surface may have", items=LEVELS)
+
+    def arguments(self, context: bpy.types.Context) -> list[str]:
+        folder = paths.absolute(context.scene.curecon.result.workspace)
+        detail = (self.level,) if self.level in DETAILS else ()
+        return arguments(surface_options(context.scene, folder, until=self.until, detail=detail), SURFACE)
+
+    def done(self, context: bpy.types.Context, scene: bpy.types.Scene, summary: dict[str, Any]) -> Work:
+        scene.curecon.shown_detail = self.level if self.level in DETAILS else ""
+        return super().done(context, scene, summary)
+
+
 class CURECON_OT_add_region(bpy.types.Operator):
     """Add a box about the building, to be moved and scaled: the mesh is made of what lies inside"""
 
@@ -99,4 +134,4 @@ class CURECON_OT_add_region(bpy.types.Operator):
         return {"FINISHED"}
 
 
-CLASSES = (CURECON_OT_build_mesh, CURECON_OT_texture, CURECON_OT_add_region)
+CLASSES = (CURECON_OT_build_mesh, CURECON_OT_texture, CURECON_OT_detail, CURECON_OT_add_region)

@@ -32,10 +32,10 @@ def bring_in(
     `photos` is how many were given to the job, 0 when unknown. Nothing is in the scene until the last slice, so that
     one undo takes all of it back. Raises WorkspaceError.
     """
-    session_uid, pack = scene.session_uid, scene.curecon.pack_textures
+    session_uid, pack, detail = scene.session_uid, scene.curecon.pack_textures, scene.curecon.shown_detail
     yield "Reading the workspace"
     pool = ThreadPoolExecutor(1, thread_name_prefix="curecon-read")
-    reading = pool.submit(workspace.read, folder)
+    reading = pool.submit(workspace.read, folder, detail)
     pool.shutdown(wait=False)
     while not reading.done():
         yield None

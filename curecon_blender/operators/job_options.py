@@ -31,10 +31,12 @@ def job_options(context: bpy.types.Context, *, until: str) -> Options:
     )
 
 
-def surface_options(scene: bpy.types.Scene, workspace: Path, *, until: str) -> Options:
-    """From the finished cloud of a workspace to the stage `until`. Raises SurfaceError when a region is asked for and
-    there is none."""
-    return Options(photos=None, workspace=workspace, until=until, **_of_surface(scene, workspace))
+def surface_options(
+    scene: bpy.types.Scene, workspace: Path, *, until: str, detail: tuple[str, ...] = ()
+) -> Options:
+    """From the finished cloud of a workspace to the stage `until`, and at these levels of detail. Raises SurfaceError
+    when a region is asked for and there is none."""
+    return Options(photos=None, workspace=workspace, until=until, detail=detail, **_of_surface(scene, workspace))
 
 
 def _of_surface(scene: bpy.types.Scene, workspace: Path) -> dict[str, Any]:

@@ -31,6 +31,7 @@ Work = Generator[str | None, None, str]
 STAGE_NAMES = {
     "photos": "Photos", "sparse": "Cameras", "adjust": "Adjustment", "views": "Undistorted photos",
     "depth": "Depth maps", "fusion": "Point cloud", "mesh": "Mesh", "texture": "Texture",
+    "detail_20k": "Level of detail", "detail_150k": "Level of detail", "detail_1m": "Level of detail",
     "download": "Download", "unpack": "Unpacking",
     "laz": "LAZ Cloud", "copc": "COPC Cloud", "e57": "E57 Cloud", "orthomosaic": "Orthomosaic", "dsm": "Surface Model",
     "facades": "Façades", "contours": "Contours", "sections": "Sections",

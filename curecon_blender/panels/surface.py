@@ -8,8 +8,11 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..operators import running
+from ..operators.build_surface import LEVELS
 from ..scene.surface import surfaces_of
 from .layout import QUALITYS_OWN, AdvancedPanel, Panel, counted, draw_outcome, draw_progress, paragraph
+
+LEVEL_NAMES = {level: name for level, name, _ in LEVELS}
 
 
 class CURECON_PT_surface(Panel, bpy.types.Panel):
@@ -41,6 +44,10 @@ class CURECON_PT_surface(Panel, bpy.types.Panel):
             row = layout.row(align=True)
             row.label(text="Light")
             row.prop(properties, "surface_light", expand=True)
+            if result.textured:
+                row = layout.row(align=True)
+                row.label(text="Detail")
+                row.operator_menu_enum("curecon.detail", "level", text=LEVEL_NAMES[properties.shown_detail or "full"])
             layout.operator("curecon.export_surface", icon="EXPORT")
 
     def _draw_state(self, result: bpy.types.PropertyGroup) -> None:

@@ -178,6 +178,10 @@ class CURECON_PG_scene(bpy.types.PropertyGroup):
                     "cloud is shown or cropped",
         update=cloud.apply,
     )
+    shown_detail: StringProperty(
+        name="Detail", description="The level of detail at which surfaces come into the scene; empty: the full one",
+        options={"HIDDEN"},
+    )
     texture_size: EnumProperty(
         name="Page Size", description="Side of a page of the texture, from 1024 to 8192 pixels", items=TEXTURE_SIZES,
         default="4096",

@@ -17,13 +17,22 @@ from mathutils import Vector
 
 from ..core.adjust.control import ControlSet, read_control
 from ..core.adjust.record import Accuracy, read_accuracy
+from ..core.base.options import DETAILS
 from ..core.base.records import Component
 from ..core.cloud.edits import is_stale, read_removed
 from ..core.cloud.ply import read_cloud
 from ..core.run.workspace import refuse_links
 from ..core.site.adjustment import Adjustment
 from ..core.site.adjustment import read as read_adjustment
-from ..core.surface.mesh import Mesh, filled_share, mesh_file, read_mesh, textured_folder, unseen_share
+from ..core.surface.mesh import (
+    Mesh,
+    detail_folder,
+    filled_share,
+    mesh_file,
+    read_mesh,
+    textured_folder,
+    unseen_share,
+)
 from ..core.views.record import read as read_components
 from . import backdrop, cameras, cloud_edits, display, frame, new_file, placing, points, surface
 from .writable import require
@@ -93,8 +102,9 @@ class Content:
     control: ControlSet
 
 
-def read(folder: Path) -> Content:
-    """Read a workspace. No bpy: it may run on any thread. Raises WorkspaceError."""
+def read(folder: Path, detail: str = "") -> Content:
+    """Read a workspace; its surface at the level `detail` (of options.DETAILS) where that was made. No bpy: it may run
+    on any thread. Raises WorkspaceError."""
     folder = folder.resolve()
     refuse_links(folder)
     parts, meshes = [], []
@@ -102,7 +112,7 @@ def read(folder: Path) -> Content:
         file = folder / component.cloud
         cloud = read_cloud(file) if file.is_file() else None
         removed = read_removed(file, len(cloud)) if cloud is not None else None
-        found = _read_surface(folder, component.index)
+        found = _read_surface(folder, component.index, detail)
         if found is not None:
             meshes.append(found[0])
         parts.append(PartContent(
@@ -183,9 +193,12 @@ def hide(items: list[bpy.types.Object], hidden: bool) -> None:
         item.hide_viewport = item.hide_render = hidden
 
 
-def _read_surface(folder: Path, index: int) -> tuple[Mesh, list[Path]] | None:
-    """A component's surface and its texture's pages; the textured one where there is one. Raises WorkspaceError."""
-    for path in (folder / textured_folder(index) / "mesh.ply", folder / mesh_file(index)):
+def _read_surface(folder: Path, index: int, detail: str) -> tuple[Mesh, list[Path]] | None:
+    """A component's surface and its texture's pages: at the level of detail, or else the textured one, or else the
+    plain one, whichever there is. Raises WorkspaceError."""
+    levels = [detail_folder(index, detail)] if detail in DETAILS else []
+    folders = [*levels, textured_folder(index)]
+    for path in (*(folder / name / "mesh.ply" for name in folders), folder / mesh_file(index)):
         if path.is_file():
             mesh = read_mesh(path)
             return mesh, surface.pictures(mesh, path)

@@ -5,7 +5,9 @@ Argument: an empty folder."""
 
 from __future__ import annotations
 
+import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -175,6 +177,19 @@ try:
         matte = material.node_tree.nodes["Principled BSDF"].inputs
         assert matte["Roughness"].default_value == 1 and matte["Specular IOR Level"].default_value == 0
     check_both_ways()
+
+    # At a level of detail it has fewer faces and its own texture.
+    shutil.copytree(folder / "textured", folder / "detail" / "20k")
+    full = surface_scene.mesh(pages=1)
+    write_mesh(folder / "detail" / "20k" / "mesh.ply", replace(
+        full, faces=full.faces[:400], filled=full.filled[:400], uv=full.uv[:400], page=full.page[:400]))
+    scene.curecon.shown_detail = "20k"
+    image = import_folder(folder).data.materials[0].node_tree.nodes["Colour"].image
+    assert result.faces == 400 and Path(bpy.path.abspath(image.filepath)).parent == folder / "detail" / "20k"
+    scene.curecon.shown_detail = "150k"  # not made: the full one comes
+    surface = import_folder(folder)
+    assert result.faces == 800
+    scene.curecon.shown_detail = ""
 
     # In the scene's light it is a matte surface: dark without a sky and lamps, lit with one.
     scene.curecon.surface_light = "SCENE"

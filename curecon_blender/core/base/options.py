@@ -39,6 +39,22 @@ PRESETS = {
 }
 
 
+@dataclass(frozen=True, kw_only=True)
+class Detail:
+    """A level of detail: most faces, and the largest side (pixels) and number of its texture's pages."""
+
+    faces: int
+    page_size: int
+    pages: int
+
+
+DETAILS = {  # beside the mesh itself: for phones, for the web, for presentations
+    "20k": Detail(faces=20_000, page_size=2048, pages=1),
+    "150k": Detail(faces=150_000, page_size=4096, pages=1),
+    "1m": Detail(faces=1_000_000, page_size=8192, pages=4),
+}
+
+
 # The worker's commands.
 RUN, SURFACE, CHECK, REPORT = "reconstruct", "surface", "check", "report"
 CONTROL, EXPORT, PLAN, FRAMES = "control", "export", "plan", "frames"
@@ -150,6 +166,10 @@ class Options:
         "--texture-size", "side of a page of the texture", unit="pixels", commands=_SURFACES))
     texture_format: str = field(default="png", metadata=_as(
         "--texture-format", "of the texture's pages", commands=_SURFACES, choices=("png", "jpeg")))
+
+    detail: tuple[str, ...] = field(default=(), metadata=_as(
+        "--detail", "after the texture, also make the mesh with so many faces, each with a texture of its own",
+        commands=_SURFACES, choices=tuple(DETAILS), many=True))
 
     @property
     def preset(self) -> Preset:

@@ -208,7 +208,7 @@ def _add(parser: argparse.ArgumentParser, option: Field[Any], argument: Argument
     if kind is bool:
         facts["action"] = argparse.BooleanOptionalAction if option.default else "store_true"
     elif argument.choices:
-        facts["choices"] = argument.choices
+        facts |= {"choices": argument.choices} | ({"nargs": "+"} if argument.many else {})
     elif argument.parts:
         facts |= {"type": float, "nargs": len(argument.parts), "metavar": argument.parts}
     elif argument.many:

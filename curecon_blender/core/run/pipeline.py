@@ -24,7 +24,7 @@ from . import cost
 from .control import import_into
 from .peak_memory import PeakMemory
 from .settings import keep_settings
-from .stages import STAGES, Job, Stage
+from .stages import DETAIL_STAGES, STAGES, Job, Stage
 from .summary import summarise
 from .workspace import StageRecord, Workspace
 
@@ -36,8 +36,10 @@ def reconstruct(options: Options, reporter: Reporter) -> dict[str, Any]:
     the CuReconError of whichever stage cannot go on; what was finished before it stays.
     """
     stages = [STAGES[name] for name in NAMES[: NAMES.index(options.until) + 1]]
+    if options.until == SURFACE_STAGES[-1]:
+        stages += [DETAIL_STAGES[level] for level in options.detail]
     if options.photos is None:
-        stages = [stage for stage in stages if stage.name in SURFACE_STAGES]
+        stages = [stage for stage in stages if stage.name in SURFACE_STAGES or stage.last]
         if not (options.workspace / "workspace.json").is_file():
             raise WorkspaceError(
                 Text("{} is not a workspace of CU-Recon.", options.workspace), path=options.workspace,
@@ -60,6 +62,7 @@ def reconstruct(options: Options, reporter: Reporter) -> dict[str, Any]:
             if stage.name == "photos":  # how many there are, and how large, says what the rest will take
                 photos = job.photo_set.photos
                 seconds = cost.reference_seconds(photos, cost.count_pairs(photos), options)
+                seconds |= {stage.name: seconds["texture"] / 2 for stage in stages if stage.last}
                 reporter.begin({stage.name: seconds[stage.name] for stage in stages})
                 if options.control:
                     import_into(workspace, options.control, options.control_system, reporter)
@@ -124,7 +127,8 @@ def _bring_about(stage: Stage, job: Job) -> None:
             stage.name, StageRecord(key=key, seconds=seconds, peak_gib=peak.bytes / 2**30, files=files)
         )
         _learn(stage, seconds, job)
-    job.key = key
+    if not stage.last:
+        job.key = key
     if stage.load:
         stage.load(job)
 
@@ -147,7 +151,7 @@ def _run(stage: Stage, job: Job) -> None:
 def _learn(stage: Stage, seconds: float, job: Job) -> None:
     """Keep this computer's speed, unless the stage was not run from its start, on the whole site, or here."""
     options = job.options
-    if stage.name == "photos" or options.photos is None or (stage.name == "depth" and options.scheduler):
+    if stage.name == "photos" or stage.last or options.photos is None or (stage.name == "depth" and options.scheduler):
         return
     if job.reporter.resumed or options.model or options.region:
         return

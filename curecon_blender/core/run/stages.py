@@ -12,6 +12,7 @@ import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -20,10 +21,10 @@ from ..adjust.adjust import adjust_cameras
 from ..adjust.control import ControlSet, read_control, to_json
 from ..adjust.control_frame import tell_checks
 from ..base.errors import PhotoError, SparseError, SurfaceError, WorkspaceError
-from ..base.files import scratch_folder
+from ..base.files import disk_errors, scratch_folder
 from ..base.language import Text
 from ..base.messages import Reporter
-from ..base.options import Options
+from ..base.options import DETAILS, Options
 from ..base.records import Component, PhotoSet
 from ..base.rotations import from_quaternion
 from ..cloud.edits import edits_key, read_edited_cloud
@@ -37,7 +38,8 @@ from ..photos.find import find_photos
 from ..photos.record import read_photos, write_photos
 from ..sparse import find_cameras
 from ..surface.build import MeshOptions, build_mesh
-from ..surface.mesh import mesh_file, read_mesh, textured_folder, write_mesh
+from ..surface.detail import simplified
+from ..surface.mesh import detail_folder, mesh_file, read_mesh, textured_folder, write_mesh
 from ..texture.texture import TextureOptions, texture_mesh
 from ..views import record as views_record
 from ..views.prepare import prepare_views
@@ -70,7 +72,7 @@ class Stage:
     it. `options` are names in Options; `inputs` is what else the result depends on. `files` are patterns below the
     workspace of what it makes. `weight` is its share of a typical job's time (the sample site at Standard). `load`
     takes up what the stage has made, just now or in an earlier run. A stage `in_budget` keeps to the memory budget, and
-    is tried again with half of it when memory runs out.
+    is tried again with half of it when memory runs out. Nothing depends on one that is `last`.
     """
 
     name: str
@@ -82,6 +84,7 @@ class Stage:
     inputs: Callable[[Job], dict[str, Any]] | None = None
     load: Callable[[Job], None] | None = None
     in_budget: bool = False
+    last: bool = False
 
     def key(self, job: Job) -> str:
         """The key of the stage's done-marker in this job."""
@@ -252,6 +255,29 @@ def _texture_meshes(job: Job) -> None:
     _each_surface(job, [c for c in job.components if (root / mesh_file(c.index)).exists()], texture)
 
 
+def _make_detail(level: str, job: Job) -> None:
+    """The meshes with fewer faces, each with its own texture; none of what has no more of them."""
+    root, detail = job.root, DETAILS[level]
+    settings = TextureOptions(
+        page_size=min(job.options.texture_size, detail.page_size), max_pages=detail.pages,
+        jpeg=job.options.texture_format == "jpeg")
+
+    def make(component: Component) -> None:
+        folder = root / detail_folder(component.index, level)
+        shutil.rmtree(folder, ignore_errors=True)
+        mesh = read_mesh(root / mesh_file(component.index))
+        if len(mesh.faces) <= detail.faces:
+            job.reporter.log(f"Detail {level}: the mesh has only {len(mesh.faces):,} faces")
+            return
+        with scratch_folder(root / "mesh") as scratch:
+            coarse = simplified(mesh, detail.faces, scratch, job.reporter)
+        with disk_errors(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+        write_mesh(folder / "mesh.ply", texture_mesh(coarse, component, root, settings, folder, job.reporter))
+
+    _each_surface(job, [c for c in job.components if (root / mesh_file(c.index)).exists()], make)
+
+
 def _each_surface(job: Job, components: list[Component], run: Callable[[Component], None]) -> None:
     """Run for every component; one that cannot have a surface does not cost the others theirs."""
     failures = []
@@ -268,6 +294,8 @@ def _each_surface(job: Job, components: list[Component], run: Callable[[Componen
 def _drop_textures(job: Job) -> None:
     for component in job.components:
         shutil.rmtree(job.root / textured_folder(component.index), ignore_errors=True)
+        for level in DETAILS:
+            shutil.rmtree(job.root / detail_folder(component.index, level), ignore_errors=True)
 
 
 # ---- the table
@@ -294,6 +322,10 @@ STAGES = {stage.name: stage for stage in (
     Stage(name="texture", version=2, weight=0.25, files=("textured*/*",), run=_texture_meshes,
           options=("texture_size", "texture_format")),
 )}
+DETAIL_STAGES = {level: Stage(
+    name=f"detail_{level}", version=1, weight=0.15, files=(f"detail*/{level}/*",), run=partial(_make_detail, level),
+    options=("texture_size", "texture_format"), last=True,
+) for level in DETAILS}
 
 
 # ---- what a stage depends on outside of the workspace

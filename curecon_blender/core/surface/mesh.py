@@ -100,6 +100,11 @@ def textured_folder(index: int) -> str:
     return f"textured_{index}" if index else "textured"
 
 
+def detail_folder(index: int, level: str) -> str:
+    """The folder, relative to the workspace, of a component's textured mesh at a level of options.DETAILS."""
+    return f"detail_{index}/{level}" if index else f"detail/{level}"
+
+
 def write_mesh(path: Path, mesh: Mesh) -> None:
     """Write a mesh as PLY; the file appears under its name only when it is whole. Raises WorkspaceError."""
     vertices = table(_VERTEX, {
