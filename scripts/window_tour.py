@@ -43,14 +43,15 @@ def tour(
     folder: Path, *, photos: int = FEW, max_image_size: int = 0, samples: int = 16, patience: float = 1800,
     full: bool = True, one_press: bool = False, language: str = "",
     worker: Path = Path(sys.executable), index: str = "",
+    begun: Path | None = None,
 ) -> dict[str, Any]:
     """Run the tour with so many photos of the sample site; returns its report.
 
     `max_image_size` in pixels, 0 for the quality's own; `patience` is what one job may take, in seconds. `full`
     adds what the short tour leaves out, `one_press` takes the short way (see tests/window/tour.py); `language` is
     one of Blender's, such as zh_HANS; `worker` is the Python that does the work, and with `index` one that first gets
-    its libraries from that package index. Raises KeyError without CURECON_BLENDER, RuntimeError with Blender's words
-    when the tour did not come to its end.
+    its libraries from that package index. `begun` is an earlier tour's workspace, from which it goes on. Raises
+    KeyError without CURECON_BLENDER, RuntimeError with Blender's words when the tour did not come to its end.
     """
     command = shlex.split(os.environ[VARIABLE])
     folder = folder.resolve()
@@ -59,6 +60,8 @@ def tour(
     site.mkdir(parents=True)
     for number in NUMBERS[:photos]:
         shutil.copy2(ROOT / "samples" / "tulou" / "photos" / f"DJI_{number:04d}.JPG", site)
+    if begun is not None:
+        shutil.copytree(begun, folder / "tulou_curecon")
     subprocess.run(
         [sys.executable, ROOT / "scripts" / "build_extension.py", "--output", folder], check=True, capture_output=True,
     )
@@ -121,13 +124,15 @@ def main() -> None:
     parser.add_argument("--language", default="", help="of Blender's words, such as zh_HANS")
     parser.add_argument("--worker", type=Path, default=Path(sys.executable), help="the Python that does the work")
     parser.add_argument("--index", default="", help="package index from which that Python gets its libraries first")
+    parser.add_argument("--begun", type=Path, help="an earlier tour's workspace, of as many photos, to go on from")
+    parser.add_argument("--max-image-size", type=int, default=0, help="pixels; 0: the quality's own")
     parser.add_argument("--manual", type=Path, help="folder for the manual's pictures")
     arguments = parser.parse_args()
     if VARIABLE not in os.environ:
         parser.error(f"set {VARIABLE} to the command that starts Blender 5.2 with a window")
     report = tour(
         arguments.folder, photos=arguments.photos, one_press=arguments.one_press, language=arguments.language,
-        worker=arguments.worker, index=arguments.index,
+        worker=arguments.worker, index=arguments.index, begun=arguments.begun, max_image_size=arguments.max_image_size,
     )
     if arguments.manual is not None:
         crop_manual(arguments.folder.resolve(), report, arguments.manual)

@@ -44,6 +44,14 @@ class Person:
         region = self.region("WINDOW")
         return region.x + region.width // 3, region.y + region.height // 2
 
+    def alone(self) -> Wait:
+        """Close every other window."""
+        for window in list(bpy.context.window_manager.windows):
+            if window != self.window:
+                with bpy.context.temp_override(window=window):
+                    bpy.ops.wm.window_close()
+        yield 1.0
+
     # The hand
 
     def move(self, x: int, y: int) -> Wait:
@@ -54,6 +62,15 @@ class Person:
         yield from self.move(x, y)
         for value in ("PRESS", "RELEASE"):
             self.window.event_simulate(key, value, x=x, y=y, ctrl=ctrl, shift=shift)
+            yield 0.02
+
+    def write(self, text: str) -> Wait:
+        """Type letters, where the pointer is."""
+        x, y = self.middle()
+        for letter in text:
+            self.window.event_simulate(letter.upper(), "PRESS", x=x, y=y, unicode=letter)
+            yield 0.02
+            self.window.event_simulate(letter.upper(), "RELEASE", x=x, y=y)
             yield 0.02
 
     def click(self, x: int, y: int, *, ctrl: bool = False) -> Wait:

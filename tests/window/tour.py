@@ -18,7 +18,6 @@ import time
 import traceback
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import bpy
 from bpy_extras.view3d_utils import location_3d_to_region_2d
@@ -26,36 +25,8 @@ from mathutils import Vector
 
 sys.path.insert(0, str(Path(__file__).parent))
 from person import Person, Wait
-
-MODULE = "bl_ext.user_default.curecon_blender"
-BEAT = 0.02  # seconds between two looks at whether Blender still answers
-
-task = json.loads(Path(sys.argv[sys.argv.index("--") + 1]).read_text())
-out = Path(task["out"])
-report: dict[str, Any] = {"steps": [], "stall": {}}
-began = time.monotonic()
-
-
-def step(name: str) -> None:
-    """The next step of the tour begins: in the report, each has the second in which it began."""
-    report["steps"].append({"name": name, "began": round(time.monotonic() - began, 1)})
-    print(f"TOUR {report['steps'][-1]['began']:7.1f} s  {name}", flush=True)
-
-
-def busy() -> bool:
-    return sys.modules[f"{MODULE}.curecon_blender.operators.running"].status.running
-
-
-def failure() -> str:
-    failed = sys.modules[f"{MODULE}.curecon_blender.operators.running"].status.failure
-    return f"{failed.message} {failed.remedy}" if failed is not None else ""
-
-
-def worked(person: Person, seconds: float, what: str) -> Wait:
-    yield from person.until(busy, seconds=10, what=f"{what} has begun")
-    yield from person.until(lambda: not busy(), seconds=seconds, what=what)
-    assert not failure(), failure()
-    yield 1.0
+from sights import find, libraries, one_press, own_workspace
+from told import BEAT, MODULE, busy, failure, out, report, step, task, worked
 
 
 def install(person: Person) -> Wait:
@@ -83,6 +54,7 @@ def photos(person: Person) -> Wait:
     yield from person.picture("empty")
     names = sorted(path.name for path in Path(task["photos"]).iterdir())
     yield from person.move(*person.middle())
+    report["dropped"] = time.monotonic()
     with person.override():
         bpy.ops.wm.drop_import_file(
             "INVOKE_DEFAULT", directory=task["photos"] + "/", files=[{"name": name} for name in names],
@@ -103,65 +75,16 @@ def photos(person: Person) -> Wait:
     yield from person.picture("photos")
 
 
-def libraries(person: Person) -> Wait:
-    """The worker has nothing to work with: one press, a question, and it has. What has come is kept over a cancel."""
-    yield from person.until(lambda: bool(failure()), seconds=60, what="the check says that libraries are missing")
-    yield 1.0
-    yield from person.picture("lacking")
-    step("libraries")
-    running = sys.modules[f"{MODULE}.curecon_blender.operators.running"]
-    for cancelled in (True, False):
-        place = yield from person.button("curecon.get_libraries")
-        yield from person.click(*place)
-        yield 0.5
-        if cancelled:
-            yield from person.picture("question")
-        yield from person.press("RET", *place)  # the question is under the pointer
-        yield from person.until(busy, seconds=10, what="fetching has begun")
-        if cancelled:
-            yield from person.until(lambda: running.status.overall > 0.1, seconds=task["patience"], what="a tenth")
-            yield from person.picture("fetching")
-            yield from person.push("curecon.cancel")
-            yield from person.until(lambda: not busy(), seconds=60, what="fetching is cancelled")
-            yield 1.0
-            yield from person.picture("fetching_cancelled")
-    yield from worked(person, task["patience"], "the libraries")
-    yield from person.picture("fetched")
-    yield from person.push("curecon.check_photos")
-    yield from worked(person, task["patience"], "the photo check")
-
-
-def one_press(person: Person) -> Wait:
-    """Everything by one button; the report says after how many seconds each came."""
-    step("one press")
-    yield from person.push("curecon.make_model")
-    began = time.monotonic()
-    yield from person.until(busy, seconds=10, what="the job has begun")
-    running = sys.modules[f"{MODULE}.curecon_blender.operators.running"]
-    yield from person.until(lambda: running.status.overall > 0.3 or failure(), seconds=task["patience"], what="a third")
-    yield from person.picture("progress")
-    yield from person.until(lambda: not busy(), seconds=task["patience"], what="the model")
-    assert not failure(), failure()
-    report["model_after"] = round(time.monotonic() - began, 1)
-    result = bpy.context.scene.curecon.result
-    assert result.textured, "the mesh has no texture"
-    report["points"], report["faces"], report["cameras"] = result.points, result.faces, result.cameras
-    step("picture")
-    picture = Path(result.workspace) / "presentation" / "still.png"
-    progress = sys.modules[f"{MODULE}.curecon_blender.operators.rendering"].progress
-    yield from person.until(
-        lambda: picture.is_file() and not progress.running, seconds=task["patience"], what="the picture",
-    )
-    report["picture_after"] = round(time.monotonic() - began, 1)
-    report["still"] = str(picture)
-    yield from person.picture("model")
+def choose(person: Person, what: str, key: str, picture: str) -> Wait:
+    """An entry of a menu by its key, which another language does not have."""
+    yield from person.choose(what, "ESC" if task["language"] else key, picture)
 
 
 def reconstruct(person: Person) -> Wait:
     step("reconstruct")
     properties = bpy.context.scene.curecon
     yield from person.open_only("CURECON_PT_reconstruct")
-    yield from person.choose("curecon.quality", "P", "qualities")
+    yield from choose(person, "curecon.quality", "P", "qualities")
     assert properties.quality == "preview", properties.quality
     yield from person.open("CURECON_PT_advanced")
     yield from person.picture("reconstruct")
@@ -210,7 +133,9 @@ def cloud(person: Person) -> Wait:
     step("cloud")
     properties = bpy.context.scene.curecon
     yield from person.open("CURECON_PT_cloud")
-    yield from person.choose("cloud.colour_by", "H", "colours")
+    yield from choose(person, "cloud.colour_by", "H", "colours")
+    if task["language"]:
+        properties.cloud.colour_by = "HEIGHT"
     assert properties.cloud.colour_by == "HEIGHT", properties.cloud.colour_by
     yield from person.picture("cloud")
     properties.cloud.colour_by = "PHOTO"
@@ -336,6 +261,7 @@ def papers(person: Person) -> Wait:
         yield from person.picture(button.partition("render_")[2])
         yield from person.until(lambda: not progress.running, seconds=task["patience"], what=last)
         yield 1.0
+        yield from person.picture(f"{button.partition('render_')[2]}_finished")
         assert (folder / last).is_file(), sorted(folder.iterdir())
     report["papers"] = sorted(file.name for file in folder.iterdir())
 
@@ -367,6 +293,8 @@ def tour() -> Wait:
         yield from photos(person)
         if task["one_press"]:
             yield from one_press(person)
+            yield from find(person)
+            yield from own_workspace(person)
             step("end")
             return
         yield from reconstruct(person)
@@ -384,6 +312,8 @@ def tour() -> Wait:
         yield from render(person)
         if task["full"]:
             yield from papers(person)
+            yield from find(person)
+            yield from own_workspace(person)
         step("end")
     except Exception:
         report["failed"] = traceback.format_exc()
