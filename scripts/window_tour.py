@@ -70,7 +70,7 @@ def tour(
     task.write_text(json.dumps({
         "out": str(folder), "archive": str(archive), "photos": str(site), "worker_python": str(worker), "index": index,
         "max_image_size": max_image_size, "samples": samples, "patience": patience, "full": full,
-        "one_press": one_press, "language": language,
+        "one_press": one_press, "language": language, "begun": begun is not None,
     }))
     log = folder / "blender.log"
     with log.open("w") as said:

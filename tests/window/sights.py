@@ -92,9 +92,11 @@ def own_workspace(person: Person) -> Wait:
     with person.override():
         bpy.ops.curecon.open_workspace()
     yield from person.until(lambda: person.window.workspace.name == "CU-Recon", seconds=20, what="the workspace")
-    yield 1.5
-    area = max(person.window.screen.areas, key=lambda area: area.width * area.height)
-    assert area.type == "VIEW_3D" and area.spaces.active.show_region_ui
-    sidebar = next(region for region in area.regions if region.type == "UI")
-    assert sidebar.active_panel_category == "CU-Recon"
+
+    def opened() -> bool:
+        area = max(person.window.screen.areas, key=lambda area: area.width * area.height)
+        sidebar = next((region for region in area.regions if region.type == "UI"), None)
+        return area.type == "VIEW_3D" and sidebar is not None and sidebar.active_panel_category == "CU-Recon"
+
+    yield from person.until(opened, seconds=60, what="its tab is open")
     yield from person.picture("workspace")

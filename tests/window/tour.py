@@ -93,7 +93,7 @@ def reconstruct(person: Person) -> Wait:
     step("reconstructing")
     running = sys.modules[f"{MODULE}.curecon_blender.operators.running"]
     patience = task["patience"]
-    if task["full"]:
+    if task["full"] and not task["begun"]:  # there is nothing to cancel where all is done
         yield from person.until(lambda: running.status.overall > 0.1 or failure(), seconds=patience, what="a tenth")
         yield from person.push("curecon.cancel")
         yield from person.until(lambda: not busy(), seconds=60, what="the job is cancelled")
@@ -101,7 +101,7 @@ def reconstruct(person: Person) -> Wait:
         yield from person.picture("cancelled")
         yield from person.push("curecon.reconstruct")
         step("going on")
-    yield from person.until(lambda: running.status.overall > 0.3 or failure(), seconds=patience, what="a third of it")
+    yield from person.until(lambda: running.status.overall > 0.3 or not busy(), seconds=patience, what="a third of it")
     yield from person.picture("progress")
     yield from person.until(lambda: not busy(), seconds=patience, what="the reconstruction")
     assert not failure(), failure()
