@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
 import re
 import subprocess
@@ -33,6 +34,7 @@ LANGUAGES = load()
 CHINESE = LANGUAGES["zh_HANS"]
 NAMES = r"\S*|JPEG|PNG|TIFF|HEIC|\S+\.(csv|jpg)|photo,name|name,x,y,z|ODM|x y z px py photo name"
 ENGLISH = re.compile(r"[A-Za-z]{3,}")
+PYTHONS = {"ValueError", "TypeError", "RuntimeError", "OSError", "FileNotFoundError"}  # its own, for the code around
 
 
 def test_no_message_is_missing_stale_or_wrongly_formatted() -> None:
@@ -127,12 +129,13 @@ def test_what_a_worker_says_keeps_its_message_and_names_on_the_way() -> None:
         (Text("{} is damaged or cut short ({}).", photo, Text("the disk is full")),
          f"{photo} 损坏或不完整（磁盘已满）"),
         (Text("{} of {} photos lie far from their GPS, against a median of {:.1f} m: {}. Their GPS is wrong, or they "
-              "were joined to the wrong place: check them.", 2, 30, np.float32(4.25), "a.jpg, walls"), "4.2"),
+              "were joined to the wrong place: check them.", np.int64(2), 30, np.float32(4.25), "a.jpg, walls"), "4.2"),
         (Text("Placement{}: {}", Text(" of part {}", 2), Text("blurred")), "定位（部分 2）：模糊"),
         (Text("{}: {}", Path("x/y.csv"), Text("Cancelled.")), "x"),
     ):
         sent = messages_of_workers.decode(messages_of_workers.encode(messages_of_workers.Warning(text=text)))
         assert isinstance(sent, messages_of_workers.Warning) and sent.text == text
+        assert sent.text.message.format(*sent.text.values) == text
         assert said in CHINESE.translated(sent.text) and CHINESE.translated(sent.text) == CHINESE.translated(text)
     failed = messages_of_workers.Failure(kind="disk", message=Text("No permission to write {}.", "The disk.jpg"),
                                          remedy=Text("Cancelled."), path="/a b")
@@ -144,3 +147,19 @@ def test_what_a_worker_says_keeps_its_message_and_names_on_the_way() -> None:
 def test_what_is_no_text_is_no_message(text: str) -> None:
     with pytest.raises(ValueError, match="not a worker message"):
         messages_of_workers.decode(f'{{"type": "log", "text": {text}}}')
+
+
+def test_errors_and_warnings_carry_their_message_and_values() -> None:
+    """What a worker tells is no f-string, of which only the English words are left."""
+    found = []
+    for path in sorted((ROOT / "curecon_blender" / "core").rglob("*.py")):
+        if path.name == "command_line.py":  # argparse's own
+            continue
+        for call in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(call, ast.Call):
+                continue
+            name = call.func.id if isinstance(call.func, ast.Name) else getattr(call.func, "attr", "")
+            if name == "warning" or (name.endswith("Error") and name not in PYTHONS):
+                told = [*call.args, *(keyword.value for keyword in call.keywords if keyword.arg == "remedy")]
+                found += [f"{path.name}:{text.lineno}" for text in told if isinstance(text, ast.JoinedStr)]
+    assert not found, f"Say it with Text(message, values): {found}"

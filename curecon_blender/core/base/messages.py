@@ -82,9 +82,9 @@ def _apart(value: object) -> object:
     """A value of a Text as JSON has it; a Text is its message before its values."""
     if isinstance(value, Text):
         return [value.message, *map(_apart, value.values)]
-    if isinstance(value, numbers.Number) and not isinstance(value, int):
-        return float(value)  # type: ignore[arg-type]  # NumPy's among them
-    return value if isinstance(value, int | str) else str(value)
+    if isinstance(value, numbers.Real):  # NumPy's among them
+        return int(value) if isinstance(value, numbers.Integral) else float(value)
+    return value if isinstance(value, str) else str(value)
 
 
 def _together(value: object) -> object:

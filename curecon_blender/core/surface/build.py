@@ -25,6 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from ..base.files import disk_errors
+from ..base.language import Text
 from ..base.messages import Reporter
 from ..cloud.ply import Cloud
 from .clean import clean, drop_small_parts, orient, worth_keeping
@@ -133,12 +134,12 @@ def _untrimmed(
 
 def _check(options: MeshOptions) -> None:
     if options.max_faces < 1:
-        raise MeshError(f"A mesh of {options.max_faces} faces cannot be made.",
+        raise MeshError(Text("A mesh of {} faces cannot be made.", options.max_faces),
                         remedy="Give a face target of at least 1; 1000000 suits most sites.")
     if options.region is not None:
         corners = np.array(options.region, float)
         if corners.shape != (2, 3) or not np.isfinite(corners).all() or not (corners[0] < corners[1]).all():
-            raise MeshError(f"The region {options.region} is no box.",
+            raise MeshError(Text("The region {} is no box.", options.region),
                             remedy="Give its low and its high corner, each x, y, z, the high one larger in all three.")
 
 
@@ -158,8 +159,8 @@ def _crop(cloud: Cloud, region: np.ndarray, margin: float) -> Cloud:
     low, high = region
     inside = ((cloud.points >= low) & (cloud.points <= high)).all(axis=1)
     if inside.sum() < LEAST_POINTS:
-        raise MeshError(f"Only {inside.sum()} of the cloud's points lie in the region; a surface needs "
-                        f"{LEAST_POINTS}.", remedy="Choose a larger region, or one that lies on the cloud.")
+        raise MeshError(Text("Only {} of the cloud's points lie in the region; a surface needs {}.", inside.sum(),
+                             LEAST_POINTS), remedy="Choose a larger region, or one that lies on the cloud.")
     return cloud.take(((cloud.points >= low - margin) & (cloud.points <= high + margin)).all(axis=1))
 
 
@@ -187,6 +188,6 @@ def _simplified(
         vertices = np.clip(vertices, *np.array(options.region, np.float32))  # simplification moves vertices
     vertices, faces = clean(vertices, faces, spacing)
     if not len(faces):
-        raise MeshError(f"Nothing is left of the surface when it is simplified to {options.max_faces} face(s).",
+        raise MeshError(Text("Nothing is left of the surface when it is simplified to {} face(s).", options.max_faces),
                         remedy="Give a larger face target; 1000000 suits most sites.")
     return vertices, faces

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ..base.language import Text
 from ..base.messages import Reporter
 from .clean import clean
 from .mesh import Mesh, MeshError
@@ -28,7 +29,7 @@ def simplified(mesh: Mesh, count: int, scratch: Path, reporter: Reporter) -> Mes
     nothing is left, and WorkspaceError for a full disk.
     """
     if count < 1:
-        raise MeshError(f"A mesh of {count} faces cannot be made.", remedy="Ask for at least one face.")
+        raise MeshError(Text("A mesh of {} faces cannot be made.", count), remedy="Ask for at least one face.")
     mesh = replace(mesh, unseen=None, uv=None, page=None, pages=())
     if len(mesh.faces) <= count:
         return mesh
@@ -36,7 +37,7 @@ def simplified(mesh: Mesh, count: int, scratch: Path, reporter: Reporter) -> Mes
     spacing = float(np.sqrt(np.median(mesh.areas))) if len(mesh.faces) else 1.0
     vertices, faces = clean(vertices, faces, spacing)
     if not len(faces):
-        raise MeshError(f"Nothing is left of the mesh when it is simplified to {count} face(s).",
+        raise MeshError(Text("Nothing is left of the mesh when it is simplified to {} face(s).", count),
                         remedy="Ask for more faces.")
     nearest = cKDTree(mesh.vertices).query(vertices)[1]
     stands_for = _coarse_face(mesh, vertices, faces)

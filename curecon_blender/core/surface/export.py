@@ -17,6 +17,7 @@ from typing import Any
 
 from ..base.errors import WorkspaceError
 from ..base.files import atomic_write
+from ..base.language import Text
 from ..base.records import ELLIPSOID, SEA_LEVEL, UNKNOWN, GeoPosition
 
 GENERATOR = "CU-Recon"
@@ -75,7 +76,7 @@ def describe_glb(
         magic, version, _ = struct.unpack("<3I", file.read(12))
         length, kind = struct.unpack("<2I", file.read(8))
         if (magic, version, kind) != (_GLB, 2, _JSON):
-            raise WorkspaceError(f"{path} is not a GLB file.", remedy="Export it again.", path=path)
+            raise WorkspaceError(Text("{} is not a GLB file.", path), remedy="Export it again.", path=path)
         content = json.loads(file.read(length))
         first = next(iter(provenance.values()))
         # The asset speaks for the whole file, in axes as glTF has them.

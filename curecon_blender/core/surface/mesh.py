@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from ..base.errors import SurfaceError, WorkspaceError
+from ..base.language import Text
 from ..base.ply import Field, column, read_ply, row_type, table, write_ply
 from ..base.reading import FARTHEST, is_file_name
 from .triangles import triangle_areas
@@ -140,11 +141,12 @@ def read_mesh(path: Path) -> Mesh:
         )
         _check(mesh)
     except FileNotFoundError as error:
-        raise WorkspaceError(f"{path} does not exist.", remedy=_REMEDY, path=path) from error
+        raise WorkspaceError(Text("{} does not exist.", path), remedy=_REMEDY, path=path) from error
     except OSError as error:
-        raise WorkspaceError(f"{path} cannot be read ({error.strerror}).", remedy=_REMEDY, path=path) from error
+        raise WorkspaceError(Text("{} cannot be read ({}).", path, error.strerror),
+                             remedy=_REMEDY, path=path) from error
     except ValueError as error:
-        raise WorkspaceError(f"{path} is damaged: {error}.", remedy=_REMEDY, path=path) from error
+        raise WorkspaceError(Text("{} is damaged: {}.", path, Text(str(error))), remedy=_REMEDY, path=path) from error
     return mesh
 
 

@@ -20,6 +20,7 @@ import numpy as np
 
 from ..base.allocator import release
 from ..base.files import disk_errors
+from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.ply import column, read_ply, row_type, table, write_ply
 from ..cloud.ply import Cloud, CloudWriter
@@ -88,7 +89,7 @@ def _exchange(source: Path, target: Path, failure: str, remedy: str) -> Iterator
                     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)) from error
                 raise
     except (FileNotFoundError, RuntimeError, ValueError) as error:
-        raise MeshError(f"{failure}: {error}", remedy=remedy, path=source) from error
+        raise MeshError(Text("{}: {}", Text(failure), Text(str(error))), remedy=remedy, path=source) from error
     finally:
         source.unlink(missing_ok=True)
         target.unlink(missing_ok=True)

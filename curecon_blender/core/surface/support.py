@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ..base.language import Text
 from ..base.messages import Reporter
 from ..cloud.ply import Cloud
 from .mesh import Mesh, MeshError
@@ -33,18 +34,20 @@ def usable_points(cloud: Cloud, reporter: Reporter) -> Cloud:
         again = "Run Reconstruct again"
         if not len(cloud):
             raise MeshError("The cloud is empty: there is nothing to make a surface of.",
-                            remedy=f"{again}, with photos that overlap more.")
+                            remedy=Text("{}, with photos that overlap more.", Text(again)))
         if finite.sum() < min(LEAST_POINTS, len(cloud)):
-            raise MeshError(f"Only {finite.sum()} of the cloud's {len(cloud)} points have finite coordinates.",
-                            remedy=f"{again}: the cloud's file is damaged.")
+            raise MeshError(Text("Only {} of the cloud's {} points have finite coordinates.", finite.sum(), len(cloud)),
+                            remedy=Text("{}: the cloud's file is damaged.", Text(again)))
         if len(cloud) >= LEAST_POINTS:
-            raise MeshError(f"Only {usable.sum()} of the cloud's {len(cloud)} points have normals, which tell the "
-                            "surface's inside from its outside.",
-                            remedy=f"{again}, or compute normals in the program that the cloud comes from.")
-        raise MeshError(f"The cloud has {len(cloud)} points; a surface needs at least {LEAST_POINTS}.",
-                        remedy=f"{again} with a higher quality, or with more photos.")
+            raise MeshError(Text("Only {} of the cloud's {} points have normals, which tell the surface's inside "
+                                 "from its outside.", usable.sum(), len(cloud)),
+                            remedy=Text("{}, or compute normals in the program that the cloud comes from.",
+                                        Text(again)))
+        raise MeshError(Text("The cloud has {} points; a surface needs at least {}.", len(cloud), LEAST_POINTS),
+                        remedy=Text("{} with a higher quality, or with more photos.", Text(again)))
     if not usable.all():
-        reporter.warning(f"{(~usable).sum()} of {len(cloud)} points have no finite position or no normal: left out.")
+        reporter.warning(Text("{} of {} points have no finite position or no normal: left out.", (~usable).sum(),
+                              len(cloud)))
     return cloud if usable.all() else cloud.take(usable)
 
 
