@@ -13,18 +13,30 @@ import pytest
 from curecon_blender.core.base import images
 from curecon_blender.core.base.messages import Reporter
 from curecon_blender.core.base.options import Options
-from curecon_blender.core.run.stages import DETAIL_STAGES, Job
+from curecon_blender.core.run.stages import DETAIL_STAGES, STAGES, Job
 from curecon_blender.core.run.workspace import Workspace
 from curecon_blender.core.surface.detail import simplified
-from curecon_blender.core.surface.mesh import MeshError, detail_folder, filled_share, mesh_file, read_mesh, write_mesh
+from curecon_blender.core.surface.mesh import (
+    Mesh,
+    MeshError,
+    detail_folder,
+    filled_share,
+    mesh_file,
+    read_mesh,
+    write_mesh,
+)
 from tests import box_scene
 from tests.test_texturing import box_mesh, errors
 
 
+def rough(mesh: Mesh) -> Mesh:
+    """As measured surfaces are: of a perfect plane, hardly a face would stay."""
+    noise = np.random.default_rng(0).normal(0, 0.005, mesh.vertices.shape)
+    return replace(mesh, vertices=mesh.vertices + noise.astype(np.float32))
+
+
 def test_fewer_faces_keep_the_shape_and_what_was_filled(tmp_path: Path) -> None:
-    mesh = box_mesh()
-    rough = np.random.default_rng(0).normal(0, 0.01, mesh.vertices.shape).astype(np.float32)
-    mesh = replace(mesh, vertices=mesh.vertices + rough)
+    mesh = rough(box_mesh())
     middle = mesh.vertices[mesh.faces].mean(axis=1)
     mesh = replace(mesh, filled=(middle[:, 2] < 0.05) & (middle[:, 0] > 1.2))
     coarse = simplified(mesh, 1200, tmp_path, Reporter())
@@ -47,10 +59,11 @@ def test_a_mesh_with_few_faces_stays_as_it_is(tmp_path: Path) -> None:
 
 def test_a_level_of_detail_has_its_own_texture(tmp_path: Path) -> None:
     component = box_scene.write_scene(tmp_path, [box_scene.make_view(i, 8) for i in range(8)])
-    write_mesh(tmp_path / mesh_file(0), box_mesh(finer=2))
+    write_mesh(tmp_path / mesh_file(0), rough(box_mesh(finer=2)))
     options = Options(photos=None, workspace=tmp_path, detail=("150k", "20k"), texture_size=512)
     with Workspace(tmp_path) as workspace:
         job = Job(options, workspace, Reporter(), components=[component])
+        STAGES["texture"].run(job)
         for level in options.detail:
             DETAIL_STAGES[level].run(job)
     assert not (tmp_path / detail_folder(0, "150k")).exists()  # the mesh has no more faces than that
@@ -59,3 +72,5 @@ def test_a_level_of_detail_has_its_own_texture(tmp_path: Path) -> None:
     assert 15_000 < len(mesh.faces) <= 20_000
     pages = [images.read_rgb(folder / page) for page in mesh.pages]
     assert np.sqrt((errors(mesh, pages, 2.5) ** 2).mean()) < 8
+    under = (np.abs(mesh.vertices[mesh.faces].mean(axis=1)) < (0.8, 0.8, 0.05)).all(axis=1)
+    assert mesh.unseen is not None and under.any() and mesh.unseen[under].mean() > 0.9 and mesh.unseen.mean() < 0.4

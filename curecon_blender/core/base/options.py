@@ -41,17 +41,16 @@ PRESETS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Detail:
-    """A level of detail: most faces, and the largest side (pixels) and number of its texture's pages."""
+    """A level of detail: most faces, and most pixels a side of its texture's page."""
 
     faces: int
     page_size: int
-    pages: int
 
 
 DETAILS = {  # beside the mesh itself: for phones, for the web, for presentations
-    "20k": Detail(faces=20_000, page_size=2048, pages=1),
-    "150k": Detail(faces=150_000, page_size=4096, pages=1),
-    "1m": Detail(faces=1_000_000, page_size=8192, pages=4),
+    "20k": Detail(faces=20_000, page_size=2048),
+    "150k": Detail(faces=150_000, page_size=4096),
+    "1m": Detail(faces=1_000_000, page_size=8192),
 }
 
 

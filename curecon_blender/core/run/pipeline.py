@@ -62,7 +62,7 @@ def reconstruct(options: Options, reporter: Reporter) -> dict[str, Any]:
             if stage.name == "photos":  # how many there are, and how large, says what the rest will take
                 photos = job.photo_set.photos
                 seconds = cost.reference_seconds(photos, cost.count_pairs(photos), options)
-                seconds |= {stage.name: seconds["texture"] / 2 for stage in stages if stage.last}
+                seconds |= {stage.name: seconds["texture"] / 3 for stage in stages if stage.last}
                 reporter.begin({stage.name: seconds[stage.name] for stage in stages})
                 if options.control:
                     import_into(workspace, options.control, options.control_system, reporter)

@@ -41,6 +41,7 @@ from ..surface.build import MeshOptions, build_mesh
 from ..surface.detail import simplified
 from ..surface.mesh import detail_folder, mesh_file, read_mesh, textured_folder, write_mesh
 from ..texture.texture import TextureOptions, texture_mesh
+from ..texture.transfer import transfer_texture
 from ..views import record as views_record
 from ..views.prepare import prepare_views
 from . import cost
@@ -256,26 +257,27 @@ def _texture_meshes(job: Job) -> None:
 
 
 def _make_detail(level: str, job: Job) -> None:
-    """The meshes with fewer faces, each with its own texture; none of what has no more of them."""
+    """The textured meshes with fewer faces, each with its own texture; none of what has no more of them."""
     root, detail = job.root, DETAILS[level]
     settings = TextureOptions(
-        page_size=min(job.options.texture_size, detail.page_size), max_pages=detail.pages,
-        jpeg=job.options.texture_format == "jpeg")
+        page_size=min(job.options.texture_size, detail.page_size), jpeg=job.options.texture_format == "jpeg")
 
     def make(component: Component) -> None:
-        folder = root / detail_folder(component.index, level)
+        folder, source = root / detail_folder(component.index, level), root / textured_folder(component.index)
         shutil.rmtree(folder, ignore_errors=True)
-        mesh = read_mesh(root / mesh_file(component.index))
-        if len(mesh.faces) <= detail.faces:
-            job.reporter.log(f"Detail {level}: the mesh has only {len(mesh.faces):,} faces")
+        fine = read_mesh(source / "mesh.ply")
+        if len(fine.faces) <= detail.faces:
+            job.reporter.log(f"Detail {level}: the mesh has only {len(fine.faces):,} faces")
             return
         with scratch_folder(root / "mesh") as scratch:
-            coarse = simplified(mesh, detail.faces, scratch, job.reporter)
+            coarse = simplified(fine, detail.faces, scratch, job.reporter)
         with disk_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
-        write_mesh(folder / "mesh.ply", texture_mesh(coarse, component, root, settings, folder, job.reporter))
+        pages = [source / page for page in fine.pages]
+        write_mesh(folder / "mesh.ply", transfer_texture(coarse, fine, pages, settings, folder, job.reporter))
 
-    _each_surface(job, [c for c in job.components if (root / mesh_file(c.index)).exists()], make)
+    textured = [c for c in job.components if (root / textured_folder(c.index) / "mesh.ply").exists()]
+    _each_surface(job, textured, make)
 
 
 def _each_surface(job: Job, components: list[Component], run: Callable[[Component], None]) -> None:
@@ -323,7 +325,7 @@ STAGES = {stage.name: stage for stage in (
           options=("texture_size", "texture_format")),
 )}
 DETAIL_STAGES = {level: Stage(
-    name=f"detail_{level}", version=1, weight=0.15, files=(f"detail*/{level}/*",), run=partial(_make_detail, level),
+    name=f"detail_{level}", version=2, weight=0.15, files=(f"detail*/{level}/*",), run=partial(_make_detail, level),
     options=("texture_size", "texture_format"), last=True,
 ) for level in DETAILS}
 

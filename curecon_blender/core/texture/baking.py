@@ -78,10 +78,10 @@ def _finish(total: np.ndarray, corners: np.ndarray, colours: np.ndarray) -> np.n
     for face, pixel, weights in scan_convert(corners, size, size):
         flat[pixel] = np.rint(np.einsum("nk,nkc->nc", weights, colours[face].astype(np.float32)))
         known[pixel] = 1
-    return _fill_gaps(page, covered)
+    return fill_gaps(page, covered)
 
 
-def _fill_gaps(page: np.ndarray, covered: np.ndarray) -> np.ndarray:
+def fill_gaps(page: np.ndarray, covered: np.ndarray) -> np.ndarray:
     """Grow charts into their padding, then fill the rest with what is around, coarser the further: mipmaps and
     JPEG then see no foreign colour at a chart's edge. Changes and returns `page` (S,S,3) uint8."""
     for _ in range(PADDING):

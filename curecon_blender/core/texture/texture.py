@@ -219,14 +219,24 @@ def _encoded_pages(plan: Bake, sources: list[Source], options: TextureOptions, r
             Text("A page of {} pixels does not fit into {:g} GiB of memory.", layout.size, options.memory_gib),
             remedy="Choose smaller pages or a larger memory budget.",
         )
-    settings = [cv2.IMWRITE_JPEG_QUALITY, 93] if options.jpeg else [cv2.IMWRITE_PNG_COMPRESSION, 3]
     encoded = []
     for start in range(0, layout.pages, at_once):
         numbers = range(start, min(start + at_once, layout.pages))
         share = _PASSES - 1 + start / layout.pages, len(numbers) / layout.pages
         for page in bake(plan, sources, numbers, reporter, partial(_progress, reporter, share, total=len(sources))):
-            encoded.append(cv2.imencode(_suffix(options), page[..., ::-1], settings)[1])
+            encoded.append(_encode(page, options))
     return encoded
+
+
+def write_pages(folder: Path, pages: list[np.ndarray], options: TextureOptions) -> tuple[str, ...]:
+    """Write pages (S,S,3) uint8 sRGB, all or none, in place of those of an earlier texture; returns the files' names.
+    Raises WorkspaceError."""
+    return _write(folder, [_encode(page, options) for page in pages], options)
+
+
+def _encode(page: np.ndarray, options: TextureOptions) -> np.ndarray:
+    settings = [cv2.IMWRITE_JPEG_QUALITY, 93] if options.jpeg else [cv2.IMWRITE_PNG_COMPRESSION, 3]
+    return np.asarray(cv2.imencode(_suffix(options), page[..., ::-1], settings)[1])
 
 
 def _suffix(options: TextureOptions) -> str:
