@@ -84,7 +84,7 @@ def make_scene(folder: Path, count: int, *, seed: int, gps: bool = False, prefix
 
 
 def make_options(workspace: Path) -> Options:
-    return Options(photos=workspace, workspace=workspace, quality="preview")
+    return Options(photos=workspace, workspace=workspace, quality="preview", matches="sift")
 
 
 def make_reporter(sink: Callable[[Message], None] = lambda message: None) -> Reporter:

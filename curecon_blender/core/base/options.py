@@ -141,6 +141,9 @@ class Options:
         "--scheduler", "make the depth maps on the workers of the Dask cluster at tcp://HOST:PORT", unit="address"))
     mapper: str = field(default="auto", metadata=_as(
         "--mapper", "how the cameras are found", choices=("auto", "incremental", "global")))
+    matches: str = field(default="auto", metadata=_as(
+        "--matches", "between photos: by SIFT; by SIFT and a network (both); auto: the network for photos that SIFT "
+        "leaves out", choices=("auto", "sift", "both")))
     weights: Path | None = field(default=None, metadata=_as(
         "--weights", "other weights (.safetensors with its .json beside it)", unit="file"))
     min_confidence: float = field(default=0.3, metadata=_as(

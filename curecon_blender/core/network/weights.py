@@ -15,14 +15,13 @@ import torch
 from ..base.errors import OutOfMemory, WeightsError, ran_out_of_memory
 from ..base.files import write_json
 from ..base.language import Text
-from ..base.reading import build, read_bytes, read_json
+from ..base.reading import build
+from ..base.weights import FOLDER, REMEDY, read_record, read_weights
 from .config import NetworkConfig
 from .model import LCMMVSNet
 
-SHIPPED = Path(__file__).parents[2] / "weights" / "lcm_mvsnet.safetensors"
-_MOST_BYTES = 1 << 30  # of a weights file; the shipped ones have 5 MB
+SHIPPED = FOLDER / "lcm_mvsnet.safetensors"
 _WIDEST = 512  # channels, groups, hypotheses
-_REMEDY = "Install CU-Recon again, or choose a weights file that came with its .json beside it."
 
 
 def describe(path: Path | None = None) -> dict[str, Any]:
@@ -31,17 +30,13 @@ def describe(path: Path | None = None) -> dict[str, Any]:
     Raises WeightsError when it is missing or damaged.
     """
     weights = path or SHIPPED
-    record = weights.with_suffix(".json")
+    found = read_record(weights)
     try:
-        found: dict[str, Any] = build(dict, read_json(record, 1 << 20))
-        build(str, found["sha256"], "sha256")
         build(dict, found["config"], "config")
-        return found
-    except FileNotFoundError as error:
-        raise WeightsError(Text("{} is missing.", record), remedy=_REMEDY, path=record) from error
-    except (OSError, ValueError, KeyError) as error:
-        raise WeightsError(Text("{} is damaged ({}).", record, Text(str(error))),
-                           remedy=_REMEDY, path=record) from error
+    except (ValueError, KeyError) as error:
+        record = weights.with_suffix(".json")
+        raise WeightsError(Text("{} is damaged ({}).", record, Text(str(error))), remedy=REMEDY, path=record) from error
+    return found
 
 
 def load_network(path: Path | None = None) -> LCMMVSNet:
@@ -50,20 +45,7 @@ def load_network(path: Path | None = None) -> LCMMVSNet:
     Raises WeightsError when the file is missing, fails its checksum, or does not fit the network to the letter.
     """
     weights = path or SHIPPED
-    record = describe(path)
-    try:
-        content = read_bytes(weights, _MOST_BYTES)
-    except OSError as error:
-        raise WeightsError(Text("The network's weights {} are missing.", weights),
-                           remedy=_REMEDY, path=weights) from error
-    except ValueError as error:
-        raise WeightsError(Text("The network's weights {}: {}.", weights, Text(str(error))),
-                           remedy=_REMEDY, path=weights) from error
-    if hashlib.sha256(content).hexdigest() != record["sha256"]:
-        raise WeightsError(
-            Text("The network's weights {} are corrupted (their checksum is wrong).", weights),
-            remedy=_REMEDY, path=weights
-        )
+    record, content = describe(path), read_weights(weights)
     try:
         config, tensors = _config(record["config"]), safetensors.torch.load(content)
         with torch.device("meta"):  # takes no memory: whether they fit is known before any is asked for
@@ -74,10 +56,10 @@ def load_network(path: Path | None = None) -> LCMMVSNet:
         if ran_out_of_memory(error):
             raise OutOfMemory from error
         raise WeightsError(
-            Text("{} holds the weights of another network: {}", weights, Text(str(error))), remedy=_REMEDY, path=weights
+            Text("{} holds the weights of another network: {}", weights, Text(str(error))), remedy=REMEDY, path=weights
         ) from error
     if not all(bool(tensor.isfinite().all()) for tensor in network.state_dict().values()):
-        raise WeightsError(Text("{} holds weights that are no numbers.", weights), remedy=_REMEDY, path=weights)
+        raise WeightsError(Text("{} holds weights that are no numbers.", weights), remedy=REMEDY, path=weights)
     return network.eval()
 
 

@@ -48,6 +48,7 @@ FEATURE_BYTES_PER_PIXEL = 60  # of a photo's features, which the depth stage kee
 # Measured peaks of other stages: matching, per thread and feature asked for, and per photo kept and feature; features,
 # per thread and pixel; the mesh, per pixel of all depth maps together.
 MATCHING_BYTES, PHOTO_FEATURE_BYTES, EXTRACTION_BYTES_PER_PIXEL, MESH_BYTES_PER_PIXEL = 5000, 260, 250, 140
+LEARNED_BYTES = 1000 << 20  # of the networks that match photos, and their pictures
 ADJUSTING_BYTES = 1 << 20  # of a photo's observations and their derivatives
 PIXELS_A_POINT = 11  # of all depth maps, for each point of the cloud
 _PROBE_CONVOLUTION, _PROBE_BLUR = 0.037, 0.013  # seconds of the probes on the reference
@@ -112,9 +113,10 @@ def reference_seconds(photos: tuple[Photo, ...], pairs: int, options: Options) -
     sparse_megapixels = sum(_pixels(photo, sparse_size) for photo in photos) / 1e6
     features = (options.preset.max_features / 8192) ** 2
     hypotheses = _hypotheses(photos, size)
+    learned = 0.5 * pairs + 0.9 * len(photos) if options.matches == "both" else 0.0
     return {
         "photos": 0.02 * len(photos),
-        "sparse": 0.75 * sparse_megapixels + 0.3 * features * pairs + 0.5 * len(photos),
+        "sparse": 0.75 * sparse_megapixels + 0.3 * features * pairs + 0.5 * len(photos) + learned,
         "adjust": 0.4 * features * len(photos),
         "views": 0.1 * len(photos),
         "depth": megapixels * (1.0 + 0.059 * hypotheses) * (1 + 0.3 * sources) / 2.2,
@@ -207,7 +209,8 @@ def _peak_bytes(photos: tuple[Photo, ...], options: Options) -> dict[str, float]
     meshed = min(sum(pixels), PIXELS_A_POINT * POINTS_A_FACE * faces)
     peaks = {
         "photos": readers * full,
-        "sparse": max(readers * (full + picture), matching * options.preset.max_features),
+        "sparse": max(readers * (full + picture), matching * options.preset.max_features,
+                      LEARNED_BYTES if options.matches == "both" else 0),
         "adjust": len(photos) * ADJUSTING_BYTES,
         "views": 1.2 * full, "depth": tile + features, "fusion": fuse.peak_bytes(pixels, budget),
         "mesh": meshed * MESH_BYTES_PER_PIXEL, "texture": meshed * MESH_BYTES_PER_PIXEL / 2,

@@ -128,7 +128,9 @@ def _load_photos(job: Job) -> None:
 
 
 def _model(job: Job) -> dict[str, Any]:
-    return {"model": _digest(job.options.model)} if job.options.model else {"mapper": job.options.mapper}
+    options = job.options
+    return {"model": _digest(options.model)} if options.model else {
+        "mapper": options.mapper, "matches": options.matches}
 
 
 def _find_cameras(job: Job) -> None:

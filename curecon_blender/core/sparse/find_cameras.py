@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,8 @@ from ..base.options import Options
 from ..base.records import Photo, PhotoSet
 from .features import FeatureSettings, extract_features, image_ids, missing_features, open_database
 from .given import fit_to_photos, given_frame
+from .joint_matches import joint_database
+from .left_out import place_left_out
 from .lookalikes import without_lookalikes
 from .mapping import map_photos
 from .matches import match_pairs, unmatched
@@ -46,8 +49,7 @@ def reconstruct(photo_set: PhotoSet, options: Options, workspace: Path, reporter
         if needs_retrieval(photos):
             pairs |= facing_alike(photos, similar_pairs(database, photos, words, reporter.check_cancelled))
         _match(database, photos, pairs, words, options, meter)
-    meter.enter(MAPPING)
-    models = _map(photos, _database_path(workspace), options, meter)
+    models = _map(photos, _database_path(workspace), pairs, options, meter)
     if not models:
         raise SparseError(
             Text("The cameras could not be found: no three of the {} photos overlap enough to be joined.", len(photos)),
@@ -125,21 +127,40 @@ def _match(
         meter.expect_matches(len(pairs) * inliers / found)
         meter.advance()
 
-    device = "cuda" if options.device in ("auto", "cuda") and torch.cuda.is_available() else "cpu"
-    match_pairs(database, photos, left, words, device, step)
+    match_pairs(database, photos, left, words, _device(options), step)
 
 
 def _map(
-    photos: tuple[Photo, ...], database: Path, options: Options, meter: Meter
+    photos: tuple[Photo, ...], database: Path, pairs: set[Pair], options: Options, meter: Meter
 ) -> list[pycolmap.Reconstruction]:
-    """The models of the photos, without what only joins photos that look alike."""
+    """The models of the photos, without what only joins photos that look alike; with learned matches if wanted, or
+    where SIFT's leave photos out."""
     names = [photo.name for photo in photos]
-    models = map_photos(database, names, options.mapper, meter.reporter, meter.advance)
 
-    def once_more(cut: Path) -> list[pycolmap.Reconstruction]:
-        return map_photos(cut, names, options.mapper, meter.reporter, lambda placed: None)
+    def mapped(path: Path, placed: Callable[[int], None]) -> list[pycolmap.Reconstruction]:
+        return map_photos(path, names, options.mapper, meter.reporter, placed)
 
-    return without_lookalikes(database, models, photos, once_more, meter.reporter)
+    def once_more(path: Path) -> list[pycolmap.Reconstruction]:
+        return mapped(path, lambda placed: None)
+
+    def sound(path: Path, placed: Callable[[int], None]) -> list[pycolmap.Reconstruction]:
+        return without_lookalikes(path, mapped(path, placed), photos, once_more, meter.reporter)
+
+    if options.matches == "both":
+        with joint_database(database, photos, _device(options), meter) as joint:
+            meter.expect_learned(len(pairs))
+            joint.add(sorted(pairs), meter.advance)
+            meter.enter(MAPPING)
+            return sound(joint.path, meter.advance)
+    meter.enter(MAPPING)
+    models = sound(database, meter.advance)
+    if options.matches == "sift":
+        return models
+    return place_left_out(database, models, photos, pairs, _device(options), once_more, meter)
+
+
+def _device(options: Options) -> str:
+    return "cuda" if options.device in ("auto", "cuda") and torch.cuda.is_available() else "cpu"
 
 
 def _colour(model: pycolmap.Reconstruction, photos: dict[str, Photo], image_size: int, meter: Meter) -> None:

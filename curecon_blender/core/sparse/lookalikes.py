@@ -287,14 +287,14 @@ def without_lookalikes(
 
     `remap` maps what a database holds. The user is told which photos stood on a wrong side. Raises Cancelled.
     """
-    verified = _verified(database, photos)
+    verified = verified_matches(database, photos)
     before = now = _State(models, verified, photos)
     cut: set[Pair] = set()
 
     def without(pairs: set[Pair]) -> _State:
         reporter.check_cancelled()
         with scratch_folder(database.parent / "cut") as folder:
-            _copy_without(database, folder / database.name, photos, pairs)
+            copy_without(database, folder / database.name, photos, pairs)
             return _State(remap(folder / database.name), verified, photos)
 
     for _ in range(ROUNDS):
@@ -311,7 +311,7 @@ def without_lookalikes(
         joined = without(apart)
         if joined.tears < now.tears:
             now, cut = joined, apart
-    moved = [photos[i].name for i in _moved(before.placed, now.placed)] if cut else []
+    moved = [photos[i].name for i in moved_photos(before.placed, now.placed)] if cut else []
     if not moved or 2 * now.tears > before.tears or len(now.placed) < len(before.placed):
         return models
     reporter.warning(Text(
@@ -347,7 +347,7 @@ def _agrees(join: Join, placed: dict[int, Placed]) -> bool:
     return bool(np.nanmedian(np.concatenate(off)) < OFF_PLACE)
 
 
-def _verified(database: Path, photos: tuple[Photo, ...]) -> list[tuple[Pair, np.ndarray]]:
+def verified_matches(database: Path, photos: tuple[Photo, ...]) -> list[tuple[Pair, np.ndarray]]:
     """Every pair of photos with its verified matches (K,2)."""
     with pycolmap.Database.open(database) as opened:
         position = {image_id: i for i, image_id in enumerate(image_ids(opened, photos))}
@@ -359,7 +359,7 @@ def _verified(database: Path, photos: tuple[Photo, ...]) -> list[tuple[Pair, np.
     ]
 
 
-def _copy_without(database: Path, copy: Path, photos: tuple[Photo, ...], cut: set[Pair]) -> None:
+def copy_without(database: Path, copy: Path, photos: tuple[Photo, ...], cut: set[Pair]) -> None:
     """Copy what mapping reads of a database, but for some pairs of photos."""
     with pycolmap.Database.open(database) as opened:
         ids = image_ids(opened, photos)
@@ -376,7 +376,7 @@ def _copy_without(database: Path, copy: Path, photos: tuple[Photo, ...], cut: se
         )
 
 
-def _moved(before: dict[int, Placed], after: dict[int, Placed]) -> list[int]:
+def moved_photos(before: dict[int, Placed], after: dict[int, Placed]) -> list[int]:
     """Photos that stand elsewhere, against the others, than before."""
     moved = []
     for model in {photo.model for photo in before.values()}:

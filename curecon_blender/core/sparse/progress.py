@@ -16,13 +16,14 @@ from ..base.messages import Reporter
 from .features import FeatureSettings
 from .parallel import threads
 
-FEATURES, MATCHING, MAPPING, COLOURS = "features", "matching", "mapping", "colours"
+FEATURES, MATCHING, MAPPING, LEARNED, COLOURS = "features", "matching", "mapping", "learned", "colours"
 
 # Processor seconds on a reference computer. Only their ratios matter, and they only until a phase has shown its own
 # pace. Features and matching are spread over all threads, mapping over about two, colours are on one.
 _FEATURE_COST = 0.75  # a photo at 1200 pixels
 _PAIR_COST = 0.11  # a pair of photos with 4096 features each
 _INLIER_COST, _TYPICAL_INLIERS = 8e-5, 500  # mapping, a verified match; as many as a pair of photos may have
+_LEARNED_COST = 1.0  # a pair of photos matched by networks, with its share of their features
 _COLOUR_COST = 0.03  # a photo
 _TRUST = 0.05  # share of a phase that counts as much as what was expected of it
 _LATELY = 30.0  # seconds, from which is told how much of the processor other programs leave
@@ -51,6 +52,7 @@ class Meter:
             FEATURES: _Phase(photos, _FEATURE_COST * (settings.image_size / 1200) ** 2, threads()),
             MATCHING: _Phase(pairs, _PAIR_COST * (settings.max_features / 4096) ** 2, threads()),
             MAPPING: _Phase(photos if maps else 0, 0.0, min(threads(), 2)),
+            LEARNED: _Phase(0, _LEARNED_COST, threads()),
             COLOURS: _Phase(photos, _COLOUR_COST, 1),
         }
         self.expect_matches(_TYPICAL_INLIERS * pairs)
@@ -64,6 +66,10 @@ class Meter:
         """Say how many verified matches there will be: mapping takes as long."""
         mapping = self._phases[MAPPING]
         mapping.cost = _INLIER_COST * inliers / max(mapping.units, 1)
+
+    def expect_learned(self, pairs: int) -> None:
+        """Say how many pairs the networks will match in all."""
+        self._phases[LEARNED].units = pairs
 
     def enter(self, phase: str, found: float = 0.0) -> None:
         """Begin a phase, of which so many units were found done from an earlier run."""
