@@ -28,10 +28,11 @@ def unregister() -> None:
     import bpy
 
     from . import languages, operators, panels, properties, thumbnails
-    from .operators import running
+    from .operators import publish, running
     from .scene import control_overlay, history, loupe, overlay, stations_overlay, viewport
 
     running.close()
+    publish.close()
     thumbnails.clear()
     history.stop()
     loupe.forget()

@@ -28,6 +28,7 @@ from curecon_blender.core.surface import export
 from curecon_blender.core.surface.export import Provenance
 
 WEB = Path(__file__).parent / "web"
+MODULES = WEB.parent.parent / "web" / "node_modules"
 PATIENCE = 240  # seconds for the page on a busy computer
 QUARTERS = np.array([(200, 40, 30), (40, 180, 60), (50, 70, 200), (220, 200, 60)])
 ORIGIN = {"crs": "WGS84", "latitude": 24.5, "longitude": 117.25, "altitude": 310.0,
@@ -210,10 +211,10 @@ def test_a_glb_opens_in_a_browser(exports: Path, tmp_path: Path) -> None:
     chromium = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
     if chromium is None:
         pytest.skip("NOT TESTED in a browser: no chromium; apt-get install chromium, or set CHROMIUM")
-    if not (WEB / "node_modules" / "three").is_dir():
-        pytest.skip("NOT TESTED in a browser: no three.js; npm ci --prefix tests/web")
+    if not (MODULES / "three").is_dir():
+        pytest.skip("NOT TESTED in a browser: no three.js; npm ci --prefix web")
     shutil.copy(WEB / "view.html", tmp_path)
-    (tmp_path / "node_modules").symlink_to(WEB / "node_modules")
+    (tmp_path / "node_modules").symlink_to(MODULES)
     for name in ("textured", "plain"):
         shutil.copy(exports / f"{name}.glb", tmp_path / "model.glb")
         found = _browse(chromium, tmp_path)

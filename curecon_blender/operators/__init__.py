@@ -35,6 +35,7 @@ from . import (
     present_renders,
     present_sun,
     presets,
+    publish,
     reconstruct,
     self_check,
     take_frames,
@@ -44,7 +45,7 @@ CLASSES: tuple[type, ...] = (
     *choose_photos.CLASSES, *check_photos.CLASSES, *reconstruct.CLASSES, *make_model.CLASSES, *presets.CLASSES,
     *import_workspace.CLASSES,
     *build_surface.CLASSES, *export_surface.CLASSES, *export_cloud.CLASSES, *accuracy_report.CLASSES,
-    *deliver.CLASSES,
+    *deliver.CLASSES, *publish.CLASSES,
     *present_elevations.CLASSES, *present_moves.CLASSES, *present_renders.CLASSES, *present_photos.CLASSES,
     *present_sun.CLASSES,
     *frame_scale.CLASSES, *frame_level.CLASSES, *frame_north.CLASSES, *frame_ground.CLASSES, *frame_reset.CLASSES,
@@ -64,6 +65,7 @@ def _file_export(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
     menu.layout.operator("curecon.export_surface", text="Surface (CU-Recon)")
     menu.layout.operator("curecon.export_cloud", text="Point Cloud (CU-Recon)")
     menu.layout.operator("curecon.export_deliverables", text="Survey Deliverables (CU-Recon)")
+    menu.layout.operator("curecon.publish", text="Web Pages (CU-Recon)")
     menu.layout.operator("curecon.render_elevations", text="Elevation Sheets (CU-Recon)")
 
 

@@ -35,6 +35,7 @@ STAGE_NAMES = {
     "download": "Download", "unpack": "Unpacking",
     "laz": "LAZ Cloud", "copc": "COPC Cloud", "e57": "E57 Cloud", "orthomosaic": "Orthomosaic", "dsm": "Surface Model",
     "facades": "Façades", "contours": "Contours", "sections": "Sections",
+    "levels": "Levels of Detail", "tiles": "Tiles", "cloud": "Point cloud", "pages": "Web Pages",
 }
 
 status = Status()

@@ -9,6 +9,7 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from ..languages import translated
 from ..scene import site
+from ..scene.notes import TEXT_KEY, is_note
 from ..scene.surface import surfaces_of
 from ..scene.workspace import clouds_of
 from .layout import Panel, counted, paragraph
@@ -55,10 +56,24 @@ class CURECON_PT_result(Panel, bpy.types.Panel):
             layout.operator("curecon.frame_cloud", icon="VIEWZOOM")
             layout.operator("curecon.accuracy_report", icon="TEXT")
             layout.operator("curecon.export_deliverables", icon="EXPORT")
+            self._draw_publish(context, result)
         row = layout.row(align=True)
         if clouds:
             row.prop(properties, "show_cloud", toggle=True, icon="POINTCLOUD_DATA")
         row.prop(properties, "show_cameras", toggle=True, icon="CAMERA_DATA")
+
+    def _draw_publish(self, context: bpy.types.Context, result: bpy.types.PropertyGroup) -> None:
+        column = self.layout.column(align=True)
+        row = column.row(align=True)
+        row.operator("curecon.publish", icon="WORLD")
+        if result.published:
+            row.operator("curecon.view_pages", text="", icon="URL")
+        column.operator("curecon.add_note", icon="TEXT")
+        note = context.active_object
+        if is_note(note):
+            column = self.layout.column(align=True)
+            column.prop(note, "name", text="Title")
+            column.prop(note, f'["{TEXT_KEY}"]', text="Text")
 
 
 CLASSES = (CURECON_PT_result,)

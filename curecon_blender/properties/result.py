@@ -23,6 +23,7 @@ class CURECON_PG_result(bpy.types.PropertyGroup):
     textured: BoolProperty(description="The surface is painted with the photos")
     filled: FloatProperty(description="Per cent of the surface's area that no photo measured, 0 to 100")
     unseen: FloatProperty(description="Per cent of the surface's area whose colour no photo shows, 0 to 100")
+    published: StringProperty(description="The folder that it was published into; empty: none", subtype="DIR_PATH")
 
 
 CLASSES = (CURECON_PG_result,)

@@ -61,7 +61,8 @@ def check_menus() -> None:
     found = " ".join(text for name, _ in operators.MENUS for text in offered(name).values()).lower()
     assert all(word in found for word in WORDS), found
     assert set(offered("TOPBAR_MT_file_export")) == {
-        "curecon.export_surface", "curecon.export_cloud", "curecon.export_deliverables", "curecon.render_elevations"}
+        "curecon.export_surface", "curecon.export_cloud", "curecon.export_deliverables", "curecon.publish",
+            "curecon.render_elevations"}
     # Over an object of the user's own, the context menu is Blender's alone.
     bpy.context.view_layer.objects.active = bpy.data.objects["old_mill Surface"]
     assert "curecon.measure" in offered("VIEW3D_MT_object_context_menu")

@@ -33,6 +33,9 @@ from .geometry_targets import (
 )
 from .model_targets import check_weights, make_model, make_weights, model_cases, model_reader, weights_cases
 from .photo_targets import check_picture, make_picture, picture_cases
+from .publish_targets import cases as publish_cases
+from .publish_targets import check_catalogue, check_figures, check_notes
+from .publish_targets import make as make_published
 from .target import Target
 from .workspace_targets import (
     check_accuracy,
@@ -81,4 +84,7 @@ TARGETS = {
     "outline_kml": Target(make_outline, kml_cases, outline_reader("kml")),
     "subtitles": Target(make_subtitles, subtitles_cases, check_subtitles),
     "weights": Target(make_weights, weights_cases, check_weights),
+    "notes": Target(make_published, publish_cases("notes.json"), check_notes),
+    "figures": Target(make_published, publish_cases("report.json"), check_figures),
+    "catalogue": Target(make_published, publish_cases("sites/gate/item.json"), check_catalogue),
 }

@@ -57,7 +57,7 @@ DETAILS = {  # beside the mesh itself: for phones, for the web, for presentation
 # The worker's commands.
 RUN, SURFACE, CHECK, REPORT = "reconstruct", "surface", "check", "report"
 CONTROL, EXPORT, PLAN, FRAMES = "control", "export", "plan", "frames"
-SELF_CHECK, LIBRARIES = "self-check", "libraries"
+SELF_CHECK, LIBRARIES, PUBLISH = "self-check", "libraries", "publish"
 
 # What `export` writes, and what its coordinates count from.
 POINT_FORMATS = ("laz", "copc", "e57")
@@ -66,6 +66,10 @@ LINE_FORMATS = ("contours", "sections")  # of the mesh
 FORMATS = (*POINT_FORMATS, *SURFACE_FORMATS, *LINE_FORMATS)
 LOCAL, SITE, UTM = "local", "site", "utm"
 PLACEMENTS = (LOCAL, SITE, UTM)
+
+# What published pages tell of where a site is.
+EXACT, CELL, HIDDEN = "exact", "cell", "hidden"
+LOCATIONS = (EXACT, CELL, HIDDEN)
 
 VIDEO_SUFFIXES = (".mp4", ".mov")  # that frames are taken of
 

@@ -20,8 +20,10 @@ from ..base.options import (
     FRAMES,
     LIBRARIES,
     LOCAL,
+    LOCATIONS,
     PLACEMENTS,
     PLAN,
+    PUBLISH,
     REPORT,
     RUN,
     SELF_CHECK,
@@ -38,6 +40,7 @@ from ..plan.wishes import KINDS, Wishes
 
 if TYPE_CHECKING:
     from ..deliver.write import Choices
+    from ..publish.records import About
 
 EXIT_CODES = """exit codes:
   0  done                     5  workspace: read-only, full, in use, newer
@@ -47,7 +50,7 @@ EXIT_CODES = """exit codes:
   4  cameras not found        9  a library is missing from this Python
  10  no mesh or no texture can be made     11  out of memory
  12  control points unusable          13  nothing of that format can be made of the site
- 14  no flight can be planned
+ 14  no flight can be planned         15  nothing can be published of the site, or not there
 130  cancelled
 """
 
@@ -109,6 +112,7 @@ def parser() -> argparse.ArgumentParser:
                            help="package indexes in place of pypi.org and pytorch.org")
     libraries.add_argument("--processor", action="store_true", help="those for the processor, with an NVIDIA card too")
     _export_arguments(command(EXPORT, "the finished site in surveyors' formats"))
+    _publish_arguments(command(PUBLISH, "the finished site as a folder of web pages, with a map of all sites in it"))
     command(SELF_CHECK, "reconstruct synthetic views, and say what this computer has")
     return main
 
@@ -181,6 +185,34 @@ def _export_arguments(export: argparse.ArgumentParser) -> None:
                         metavar="DEGREES", help="of the facades, anticlockwise from x (default: as the walls stand)")
     export.add_argument("--licence", default="", help="written into each file")
     export.add_argument("--credit", default="", help="written into each file")
+
+
+def _publish_arguments(publish: argparse.ArgumentParser) -> None:
+    publish.add_argument("workspace", type=Path)
+    publish.add_argument("folder", type=Path, help="empty, or one that was published into: the site is added there")
+    publish.add_argument("--location", choices=LOCATIONS, required=True,
+                         help="what the public is told of where the site is: the exact place, a fixed square of 1 km, "
+                         "or nothing")
+    publish.add_argument("--title", default="", help="the site's name (default: the workspace's)")
+    publish.add_argument("--text", default="", help="what it is, in a few sentences")
+    publish.add_argument("--place", default="", help="where it is in words, such as the country; shown as it is")
+    publish.add_argument("--licence", default="", help="on which terms it is published")
+    publish.add_argument("--credit", default="", help="whose record it is")
+    publish.add_argument("--notes", type=Path, metavar="FILE",
+                         help="notes on the site: JSON, a list of title, text, place and eye in the site frame")
+    publish.add_argument("--part", type=int, default=1, metavar="NUMBER",
+                         help="which part, of a site whose parts do not connect (default: %(default)s)")
+
+
+def about_of(given: argparse.Namespace) -> About:
+    """What parsed arguments say of a site to be published. Raises WorkspaceError."""
+    from ..publish.records import About, read_notes
+
+    return About(
+        title=given.title or given.workspace.absolute().name.removesuffix("_curecon").replace("_", " "),
+        location=given.location, text=given.text, place=given.place, credit=given.credit, licence=given.licence,
+        notes=read_notes(given.notes) if given.notes else (),
+    )
 
 
 def choices_of(given: argparse.Namespace) -> Choices:

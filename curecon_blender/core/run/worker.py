@@ -25,8 +25,8 @@ from ..base import messages
 from ..base.errors import CuReconError, OutOfMemory, SetupError, ran_out_of_memory
 from ..base.language import Text
 from ..base.messages import Message, Reporter
-from ..base.options import CONTROL, EXPORT, FRAMES, LIBRARIES, PLAN
-from .command_line import choices_of, options_of, parser
+from ..base.options import CONTROL, EXPORT, FRAMES, LIBRARIES, PLAN, PUBLISH
+from .command_line import about_of, choices_of, options_of, parser
 
 NEEDED = ("numpy", "PIL", "pillow_heif", "psutil", "cv2", "safetensors", "scipy", "torch", "pycolmap", "xatlas",
           "numba")
@@ -118,6 +118,10 @@ def _run(options: argparse.Namespace, reporter: Reporter) -> dict[str, object]:
         from .export import export
 
         return export(options.workspace, options.format, options.frame, options.to, choices_of(options), reporter)
+    if options.command == PUBLISH:
+        from .publish import publish
+
+        return publish(options.workspace, options.folder, about_of(options), options.part, reporter)
     return pipeline.reconstruct(options_of(options), reporter)
 
 
@@ -229,6 +233,8 @@ def _in_words(summary: dict[str, object]) -> str:
     if "deliverables" in summary:
         made: Any = summary["deliverables"]
         return "\n".join([*summary["words"], *(f"{one['file']}: {one['says']}" for one in made)])  # type: ignore[misc]
+    if "published" in summary:
+        return f"{summary['site']}\nServe {summary['published']} with any web server."
     if "points" in summary:
         clouds = summary["paths"]["clouds"] if isinstance(summary["paths"], dict) else []
         where = f"\n{', '.join(clouds)}" if clouds else ""

@@ -166,7 +166,7 @@ def _lock(file: IO[bytes], root: Path) -> None:
     deadline = time.monotonic() + LOCK_PATIENCE
     while True:
         try:
-            _try_lock(file)
+            try_lock(file)
             return
         except OSError as error:
             if error.errno not in _NO_LOCKS and time.monotonic() < deadline:
@@ -184,7 +184,8 @@ def _lock(file: IO[bytes], root: Path) -> None:
             ) from error
 
 
-def _try_lock(file: IO[bytes]) -> None:
+def try_lock(file: IO[bytes]) -> None:
+    """Lock a file for this process, or raise OSError where another one holds it."""
     if sys.platform == "win32":
         import msvcrt
 

@@ -83,7 +83,7 @@ def _finish(total: np.ndarray, corners: np.ndarray, colours: np.ndarray) -> np.n
 
 def fill_gaps(page: np.ndarray, covered: np.ndarray) -> np.ndarray:
     """Grow charts into their padding, then fill the rest with what is around, coarser the further: mipmaps and
-    JPEG then see no foreign colour at a chart's edge. Changes and returns `page` (S,S,3) uint8."""
+    JPEG then see no foreign colour at a chart's edge. Changes and returns `page` (H,W,3) uint8."""
     for _ in range(PADDING):
         rim = np.flatnonzero(np.asarray(cv2.dilate(covered, np.ones((3, 3), np.uint8))) != covered)
         _average_neighbours(page, covered, rim)
@@ -113,8 +113,9 @@ def _average_neighbours(page: np.ndarray, covered: np.ndarray, texels: np.ndarra
 
 def _halved(page: np.ndarray, covered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Half the size, the mean of what is covered."""
-    if page.shape[0] % 2:
-        page, covered = (cv2.copyMakeBorder(a, 0, 1, 0, 1, cv2.BORDER_REPLICATE) for a in (page, covered))
+    odd = page.shape[0] % 2, page.shape[1] % 2
+    if any(odd):
+        page, covered = (cv2.copyMakeBorder(a, 0, odd[0], 0, odd[1], cv2.BORDER_REPLICATE) for a in (page, covered))
     count = np.zeros((page.shape[0] // 2, page.shape[1] // 2), np.uint16)
     total = np.zeros((*count.shape, 3), np.uint16)
     for dy in (0, 1):
