@@ -64,7 +64,7 @@ What has come stays when it is cancelled, and the next press goes on from there"
     def draw(self, context: bpy.types.Context) -> None:
         layout, card = self.layout, self._card
         if card is not None and card.usable:
-            layout.prop(self, "use_card", text=card.name, translate=False)
+            layout.prop(self, "use_card", text=iface_("For the {}").format(card.name), translate=False)
             if self.use_card:
                 layout.label(text="About 3 GB come from pypi.org, and take 6 GB on the disk (9 GB meanwhile).")
                 layout.label(text="NVIDIA's libraries among them come under NVIDIA's own terms.")

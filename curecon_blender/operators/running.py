@@ -183,11 +183,13 @@ class ModalOperator:
         return ended
 
     def cancel(self, context: bpy.types.Context) -> None:
-        """Blender ends the operator itself when another file is loaded or it quits."""
+        """Blender ends the operator itself when another file is loaded or it quits, and when its question or its file
+        browser is closed, before there is any work."""
+        if self._timer is None:
+            return
         close()
         self._slices.close()
-        if self._timer is not None:
-            context.window_manager.event_timer_remove(self._timer)
+        context.window_manager.event_timer_remove(self._timer)
 
     def _begin(self, context: bpy.types.Context) -> None:
         global status, panel
