@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from ..base.files import atomic_write, disk_errors, partial_path, write_json
+from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.reading import read_json
 from .privacy import Shown
@@ -33,7 +34,8 @@ def check(folder: Path) -> None:
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except (FileExistsError, NotADirectoryError) as error:
-            raise PublishError(f"{folder} cannot be a folder: a file is in the way.", remedy="Choose another folder.",
+            raise PublishError(Text("{} cannot be a folder: a file is in the way.", folder),
+                               remedy="Choose another folder.",
                                path=folder) from error
         if not any(not entry.name.startswith(".") for entry in folder.iterdir()):
             return
@@ -42,7 +44,7 @@ def check(folder: Path) -> None:
     except (OSError, ValueError, AttributeError):
         own = False
     if not own:
-        raise PublishError(f"{folder} is not empty, and its files are not of a publish before.", path=folder,
+        raise PublishError(Text("{} is not empty, and its files are not of a publish before.", folder), path=folder,
                            remedy="Choose an empty folder, or one that was published into: the site is added there.")
 
 
@@ -74,7 +76,7 @@ def site_folder(folder: Path, name: str) -> Iterator[Path]:
 def write_pages(folder: Path) -> None:
     """Put the pages' own files into the folder. Raises PublishError where they are missing, WorkspaceError."""
     if not (PAGES / "index.html").is_file():
-        raise PublishError(f"{PAGES} lacks the pages.", remedy="Install the CU-Recon zip again.", path=PAGES)
+        raise PublishError(Text("{} lacks the pages.", PAGES), remedy="Install the CU-Recon zip again.", path=PAGES)
     for source in sorted(PAGES.rglob("*")):
         if source.is_dir() or source.name == "site.html":
             continue
@@ -134,7 +136,8 @@ def write_catalogue(folder: Path, reporter: Reporter) -> int:
         try:
             items.append(_listed(read_json(path), path.parent.name))
         except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
-            reporter.warning(f"{path} cannot be read ({error}): that site is not in the catalogue. Publish it again.")
+            reporter.warning(Text("{} cannot be read ({}): that site is not in the catalogue. Publish it again.", path,
+                                  Text(str(error))))
     write_json(folder / ITEMS, {"type": "FeatureCollection", "features": items})
     write_json(folder / CATALOGUE, {
         "type": "Catalog", "stac_version": _STAC, "id": _ID, "title": "Sites",

@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from ..base.errors import SurfaceError
 from ..base.files import scratch_folder
+from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.records import Component
 from ..deliver.ortho import read_pages
@@ -79,7 +80,7 @@ def _painted(
             coarse = texture_mesh(coarse, component, workspace, options, folder, quiet)
             pages = read_pages(folder, coarse.pages)
         except SurfaceError as error:
-            reporter.warning(f"From afar the surface shows the colours of its vertices: {error.message}")
+            reporter.warning(Text("From afar the surface shows the colours of its vertices: {}", error.message))
         if quiet.warnings:
             reporter.log(f"{quiet.warnings[0]} ({len(quiet.warnings)} such warnings)")
     if fine.unseen is not None:

@@ -17,6 +17,7 @@ from PIL import Image
 from ..base.errors import PhotoError
 from ..base.files import PRESENTATION, atomic_write, disk_errors
 from ..base.images import read_rgb
+from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.options import EXACT
 from ..base.reading import read_json
@@ -48,7 +49,7 @@ def figures(report: Path, index: int, points: int, faces: int, reporter: Reporte
         parts = read_json(report)["parts"]
         part = next(part for part in parts if part["index"] == index)
         if part["points"] != points or part["faces"] != faces:
-            reporter.warning(f"The accuracy report is of another state of the site. {again}")
+            reporter.warning(Text("The accuracy report is of another state of the site. {}", Text(again)))
             return {}
         found = {name: _at(part, way) for name, way in _FIGURES.items()}
     except FileNotFoundError:
@@ -56,7 +57,7 @@ def figures(report: Path, index: int, points: int, faces: int, reporter: Reporte
                          "Report, then publish again.")
         return {}
     except (OSError, ValueError, LookupError, TypeError, StopIteration) as error:
-        reporter.warning(f"{report} cannot be read ({error}). {again}")
+        reporter.warning(Text("{} cannot be read ({}). {}", report, Text(str(error)), Text(again)))
         return {}
     return {name: value for name, value in found.items() if value is not None}
 
@@ -83,14 +84,14 @@ def pictures(workspace: Path, location: str, folder: Path, reporter: Reporter) -
     patterns = _ALL if location == EXACT else _STILLS
     found = sorted({path for pattern in patterns for path in source.glob(pattern) if path.is_file()})
     if len(found) > _MOST_PICTURES:
-        reporter.warning(f"{source} holds {len(found)} pictures; the first {_MOST_PICTURES} are published.")
+        reporter.warning(Text("{} holds {} pictures; the first {} are published.", source, len(found), _MOST_PICTURES))
     made: list[str] = []
     for path in found[:_MOST_PICTURES]:
         reporter.check_cancelled()
         try:
             picture = read_rgb(path, _PICTURE)
         except PhotoError as error:
-            reporter.warning(f"A picture is left out: {error.message}")
+            reporter.warning(Text("A picture is left out: {}", error.message))
             continue
         name = f"pictures/{len(made) + 1}.jpg"
         with disk_errors(folder):

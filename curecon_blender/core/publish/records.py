@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from ..base.errors import CuReconError, WorkspaceError
+from ..base.language import Text
 from ..base.reading import FARTHEST, Within, build, read_json
 
 _MOST_NOTES = 500
@@ -74,5 +75,5 @@ def read_notes(path: Path) -> tuple[Note, ...]:
         notes: tuple[Note, ...] = found
         return notes
     except (OSError, ValueError) as error:
-        raise WorkspaceError(f"{path} holds no notes ({error}).", path=path,
+        raise WorkspaceError(Text("{} holds no notes ({}).", path, Text(str(error))), path=path,
                              remedy="Give a list of records with title, text and place.") from error

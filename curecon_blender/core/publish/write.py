@@ -14,6 +14,7 @@ import numpy as np
 from ..base.errors import CuReconError
 from ..base.files import write_json
 from ..base.geodesy import enu_from_ecef
+from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.options import EXACT
 from ..base.records import Component, Frame
@@ -118,9 +119,11 @@ def _levels(source: Source, folder: Path, reporter: Reporter) -> list[Level]:
         try:
             pages = read_pages(source.mesh.parent, mesh.pages)
         except DeliverError as error:
-            reporter.warning(f"The surface is shown with the colours of its vertices. {error.message} {error.remedy}")
+            reporter.warning(Text("The surface is shown with the colours of its vertices. {} {}", error.message,
+                                  error.remedy))
     if len(pages) and mesh.page is not None and not set(np.unique(mesh.page)) <= set(range(len(pages))):
-        raise PublishError(f"{source.mesh} names pages of its texture that are not there.", remedy="Run Texture again.",
+        raise PublishError(Text("{} names pages of its texture that are not there.", source.mesh),
+                           remedy="Run Texture again.",
                            path=source.mesh)
     if not len(pages):
         mesh = Mesh(vertices=mesh.vertices, faces=mesh.faces, colours=mesh.colours, distance=mesh.distance,
@@ -159,7 +162,7 @@ def _cloud(source: Source, reporter: Reporter) -> tuple[np.ndarray, np.ndarray, 
     except CuReconError:
         if source.mesh is None:
             raise
-        reporter.warning(f"{path.name} cannot be read: the page shows the surface alone.")
+        reporter.warning(Text("{} cannot be read: the page shows the surface alone.", path.name))
         return np.zeros((0, 3)), np.zeros((0, 3), np.uint8), 0
     count = sum(len(points) for points, _ in blocks)
     if not count:

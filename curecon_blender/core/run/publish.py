@@ -12,6 +12,7 @@ from typing import Any
 
 from ..base.errors import WorkspaceError
 from ..base.files import disk_errors
+from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.records import Component
 from ..photos import capture
@@ -31,7 +32,7 @@ def publish(workspace: Path, folder: Path, about: About, part: int, reporter: Re
     as a warning. Raises WorkspaceError, PublishError, SurfaceError, Cancelled."""
     if not (workspace / "workspace.json").is_file():
         raise WorkspaceError(
-            f"{workspace} is not a workspace of CU-Recon.", path=workspace,
+            Text("{} is not a workspace of CU-Recon.", workspace), path=workspace,
             remedy="Choose the folder that Reconstruct made, or run Reconstruct first.",
         )
     if not about.title.strip():
@@ -58,14 +59,14 @@ def publish(workspace: Path, folder: Path, about: About, part: int, reporter: Re
 def _destination(folder: Path, workspace: Path) -> Iterator[Path]:
     """The folder, for one publish at a time."""
     if folder.resolve().is_relative_to(workspace.resolve()) or workspace.resolve().is_relative_to(folder.resolve()):
-        raise PublishError(f"{folder} and the workspace lie in each other: its files are not for everybody.",
+        raise PublishError(Text("{} and the workspace lie in each other: its files are not for everybody.", folder),
                            remedy="Choose a folder elsewhere.", path=folder)
     site_files.check(folder)
     with disk_errors(folder / _LOCK), open(folder / _LOCK, "a+b") as lock:
         try:
             try_lock(lock)
         except OSError as error:
-            raise PublishError(f"Another publish is writing into {folder}.",
+            raise PublishError(Text("Another publish is writing into {}.", folder),
                                remedy="Wait until it is done, then publish again.", path=folder) from error
         yield folder
 
@@ -73,12 +74,14 @@ def _destination(folder: Path, workspace: Path) -> Iterator[Path]:
 def _source(root: Path, part: int, reporter: Reporter) -> Source:
     components = [one for one in views_record.read(root) if (root / one.cloud).exists()]
     if not components:
-        raise WorkspaceError(f"{root} has no point cloud yet.", remedy="Run Reconstruct to the end first.", path=root)
+        raise WorkspaceError(Text("{} has no point cloud yet.", root),
+                             remedy="Run Reconstruct to the end first.", path=root)
     if not 1 <= part <= len(components):
-        raise PublishError(f"The site has no part {part}; it has {len(components)}.",
-                           remedy=f"Choose a part from 1 to {len(components)} (--part).")
+        raise PublishError(Text("The site has no part {}; it has {}.", part, len(components)),
+                           remedy=Text("Choose a part from 1 to {} (--part).", len(components)))
     if len(components) > 1:
-        reporter.warning(f"The site has {len(components)} parts that do not connect: part {part} is published alone.")
+        reporter.warning(Text("The site has {} parts that do not connect: part {} is published alone.", len(components),
+                              part))
     component = components[part - 1]
     adjusted = adjustment.read(root / component.sparse)
     meshes = (root / textured_folder(component.index) / "mesh.ply", root / mesh_file(component.index))
@@ -95,6 +98,6 @@ def _taken(root: Path, component: Component, reporter: Reporter) -> date | None:
     try:
         times = {name: time for name, time in capture.read_times(root).items() if name in names}
     except WorkspaceError as error:
-        reporter.warning(f"The page does not say when the photos were taken: {error.message}")
+        reporter.warning(Text("The page does not say when the photos were taken: {}", error.message))
         return None
     return capture.middle_time(times).date() if times else None
