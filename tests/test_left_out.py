@@ -76,6 +76,15 @@ def test_what_the_gimbal_contradicts_is_not_taken(photos: tuple[Photo, ...], by_
     assert any("could not be placed" in warning for warning in warnings)
 
 
+def test_without_gps_and_gimbal_nothing_is_taken(photos: tuple[Photo, ...], by_sift: Path, tmp_path: Path) -> None:
+    """A photo's matches alone do not tell whether it stands where a look-alike is."""
+    shutil.copytree(by_sift, tmp_path, dirs_exist_ok=True)
+    bare = tuple(replace(photo, gps=None, gimbal=None) for photo in photos)
+    cameras, warnings = placed(bare, tmp_path, "auto")
+    assert cameras.keys() == {photo.name for photo in photos} - {FAR}
+    assert any("could not be placed" in warning for warning in warnings)
+
+
 def test_damaged_weights_are_told(tmp_path: Path) -> None:
     for suffix in (".json", ".safetensors"):
         shutil.copy(FOLDER / f"lightglue{suffix}", tmp_path)

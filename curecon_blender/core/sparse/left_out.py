@@ -3,7 +3,7 @@
 """Photos that SIFT leaves out, or puts in a part of their own: matched by networks as well, and mapped once more.
 
 Learned matches join look-alikes with ease. So they are asked for only where SIFT does not suffice, and a photo that
-they place counts only where gimbal or GPS bear it out or, without these, where its own evidence is strong.
+they place counts only where gimbal or GPS bear it out: its matches alone do not tell.
 """
 
 from __future__ import annotations
@@ -21,26 +21,26 @@ from ..base.geodesy import gps_enu
 from ..base.records import Photo
 from .joint_matches import joint_database
 from .lookalikes import (
+    STAYED,
     STRONG,
     TRUSTED,
     Join,
     Placed,
     contradicted,
     find_joins,
-    moved_photos,
     placed_photos,
     verified_matches,
 )
 from .mapping import SMALLEST, drop_loose
 from .pairs import Pair, facing_alike
-from .placement import BENT, CONTRADICTED, place
+from .placement import BENT, CONTRADICTED, place, similarity, transformed
 from .progress import Meter
 
 MOST_PAIRS = 600  # matched by networks, about a second each
 PARTNERS = 6  # of a photo, matched with each other, too: what they share gives it points to stand on
 LOCATED = 4  # photos with GPS in a part, from which it tells something of one
 USUAL, SHARP = 4.0, 1.0  # times what GPS is off in the median, and metres, up to which a photo stands near enough
-HELD_BY, TIES = 2, 60  # joins that a model keeps of a photo, and its points of three photos, if GPS tells nothing
+HELD_BY = 2  # joins of a photo that a model keeps, if GPS tells nothing
 
 Models = list[pycolmap.Reconstruction]
 
@@ -56,7 +56,8 @@ def place_left_out(
     Raises Cancelled, WeightsError.
     """
     before = placed_photos(models, photos)
-    if len(before) == len(photos) and len(models) == 1:
+    whole = len(before) == len(photos) and len(models) == 1
+    if whole or all(photo.gps is None and photo.gimbal is None for photo in photos):
         return models
     sift = {pair: len(matches) for pair, matches in verified_matches(database, photos)}
     apart = [(i, j) for i, j in pairs if i not in before or j not in before or before[i].model != before[j].model]
@@ -101,8 +102,20 @@ def _better(
             break
         _leave_out(after, {photos[i].name for i in doubtful})
     more = len(placed) > len(before) or (len(placed) == len(before) and len(after) < len(models))
-    kept = before.keys() <= placed.keys() and not moved_photos(before, placed)
-    return after if more and kept else models
+    return after if more and _stay(before, placed) else models
+
+
+def _stay(before: dict[int, Placed], after: dict[int, Placed]) -> bool:
+    """Whether the photos of each model before stand to each other as they did."""
+    for model in {photo.model for photo in before.values()}:
+        old = [i for i, photo in before.items() if photo.model == model]
+        if not set(old) <= after.keys() or len({after[i].model for i in old}) > 1:
+            return False
+        source, target = (np.array([there[i].centre for i in old]) for there in (before, after))
+        off = np.linalg.norm(transformed(similarity(source, target), source) - target, axis=1)
+        if off.max() > STAYED * np.linalg.norm(np.ptp(target, axis=0)):
+            return False
+    return True
 
 
 def _doubtful(
@@ -124,9 +137,9 @@ def _doubtful(
             held, torn = sum(join.held for join in own), sum(join.torn for join in own)
             turned, located = by_gimbal.get(i), by_gps.get(i)
             # Turned as the gimbal tells it would be one window on, too.
-            sound = held >= HELD_BY and torn == 0 and (turned is True or _ties(placed[i], model) >= TIES)
+            by_turn = turned is True and held >= HELD_BY and torn == 0
             against = i in accused or False in (turned, located) or held < torn
-            if against or not (located is True or sound):
+            if against or not (located is True or by_turn):
                 doubtful.add(i)
     return doubtful
 
@@ -139,11 +152,6 @@ def _leave_out(models: Models, names: set[str]) -> None:
         drop_loose(model)
         if model.num_reg_images() < SMALLEST:
             models.remove(model)
-
-
-def _ties(photo: Placed, model: pycolmap.Reconstruction) -> int:
-    """Its points that three photos or more show."""
-    return sum(model.point3D(i).track.length() >= SMALLEST for i in photo.tracks[photo.tracks >= 0])
 
 
 def _by_gimbal(placed: dict[int, Placed], joins: list[Join], photos: tuple[Photo, ...]) -> dict[int, bool]:

@@ -311,7 +311,7 @@ def without_lookalikes(
         joined = without(apart)
         if joined.tears < now.tears:
             now, cut = joined, apart
-    moved = [photos[i].name for i in moved_photos(before.placed, now.placed)] if cut else []
+    moved = [photos[i].name for i in _moved(before.placed, now.placed)] if cut else []
     if not moved or 2 * now.tears > before.tears or len(now.placed) < len(before.placed):
         return models
     reporter.warning(Text(
@@ -376,7 +376,7 @@ def copy_without(database: Path, copy: Path, photos: tuple[Photo, ...], cut: set
         )
 
 
-def moved_photos(before: dict[int, Placed], after: dict[int, Placed]) -> list[int]:
+def _moved(before: dict[int, Placed], after: dict[int, Placed]) -> list[int]:
     """Photos that stand elsewhere, against the others, than before."""
     moved = []
     for model in {photo.model for photo in before.values()}:
