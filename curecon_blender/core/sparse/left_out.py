@@ -136,8 +136,8 @@ def _doubtful(
             own = [join for join in inside if i in join.pair]
             held, torn = sum(join.held for join in own), sum(join.torn for join in own)
             turned, located = by_gimbal.get(i), by_gps.get(i)
-            # Turned as the gimbal tells it would be one window on, too.
-            by_turn = turned is True and held >= HELD_BY and torn == 0
+            # One window on it would be turned as the gimbal tells, too; and a few photos of their own may be bent.
+            by_turn = turned is True and stem >= 0 and held >= HELD_BY and torn == 0
             against = i in accused or False in (turned, located) or held < torn
             if against or not (located is True or by_turn):
                 doubtful.add(i)
