@@ -72,7 +72,7 @@ def _show(
     known = {workspace.WORKSPACE_KEY, presentation.ROLE_KEY}
     ours = all(known & {*child.keys()} for child in scene.collection.children)
     if ours and not bpy.app.background:  # nothing of the user's is folded with it
-        bpy.app.timers.register(lambda: sidebar.fold_outliner(bpy.context), first_interval=0.5)  # once it is drawn
+        sidebar.fold_outliner_once_drawn()
     if show and imported.bounds is not None:
         view.turn_to(context, imported.bounds)
     if imported.surfaces:

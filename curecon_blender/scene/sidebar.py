@@ -61,6 +61,16 @@ def open_workspace(window: bpy.types.Window) -> None:
     bpy.app.timers.register(turned, first_interval=TAB_SECONDS)
 
 
+def fold_outliner_once_drawn() -> None:
+    """An outliner knows what has come into the scene once it has been drawn, which a busy computer may put off."""
+
+    def drawn() -> None:
+        bpy.types.SpaceOutliner.draw_handler_remove(handler, "WINDOW")
+        bpy.app.timers.register(lambda: fold_outliner(bpy.context), first_interval=0.0)
+
+    handler = bpy.types.SpaceOutliner.draw_handler_add(drawn, (), "WINDOW", "POST_PIXEL")
+
+
 def fold_outliner(context: bpy.types.Context) -> None:
     """Close the lowest open level of the window's outliners: hundreds of cameras hide the site that they were put
     into the scene for."""
