@@ -26,8 +26,8 @@ ADDON = ROOT / "curecon_blender"
 sys.path.insert(0, str(ROOT))
 
 # For the command line, for developers, or with words of its own: the plan on paper, deliverables.
-ENGLISH = {"core/plan/page.py", "core/plan/files.py", "core/deliver/systems.py", "core/deliver/write.py",
-           "core/run/command_line.py", "core/base/options.py", "core/__main__.py"}
+ENGLISH = {"core/compare", "core/plan/page.py", "core/plan/files.py", "core/deliver/systems.py",
+           "core/deliver/write.py", "core/run/command_line.py", "core/base/options.py", "core/__main__.py"}
 FOR_DEVELOPERS = {"diagnostics", "described"}  # functions whose text is sent to the developers
 SENTENCE = re.compile(
     r"[A-Za-z]{2,}[,.:;)'\"]* +[(\"]?[A-Za-z{]|[}a-z)][.:;]? [a-z]{2,}|^ ?[A-Z][a-z]+[a-z ]*(: | \{\}|\.)"

@@ -16,7 +16,7 @@ from conftest import ROOT
 
 PACKAGE = "curecon_blender"
 FLOW = ("base", "photos", "sparse", "adjust", "views", "network", "depth", "cloud", "surface", "texture",
-        "report", "deliver", "publish")
+        "report", "deliver", "publish", "compare")
 MAY_IMPORT = {room: FLOW[: place + 1] for place, room in enumerate(FLOW)}
 MAY_IMPORT |= {room: ("base", room) for room in ("site", "present", "plan")}
 MAY_IMPORT |= {"run": (*FLOW, "site", "plan", "run")}

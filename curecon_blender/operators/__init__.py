@@ -23,6 +23,7 @@ from . import (
     frame_position,
     frame_reset,
     frame_scale,
+    import_comparison,
     import_workspace,
     libraries,
     make_model,
@@ -43,7 +44,7 @@ from . import (
 
 CLASSES: tuple[type, ...] = (
     *choose_photos.CLASSES, *check_photos.CLASSES, *reconstruct.CLASSES, *make_model.CLASSES, *presets.CLASSES,
-    *import_workspace.CLASSES,
+    *import_workspace.CLASSES, *import_comparison.CLASSES,
     *build_surface.CLASSES, *export_surface.CLASSES, *export_cloud.CLASSES, *accuracy_report.CLASSES,
     *deliver.CLASSES, *publish.CLASSES,
     *present_elevations.CLASSES, *present_moves.CLASSES, *present_renders.CLASSES, *present_photos.CLASSES,
@@ -59,6 +60,7 @@ def _file_import(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
     menu.layout.operator("curecon.choose_photos", text="Drone Photos (CU-Recon)")
     menu.layout.operator("curecon.import_workspace", text="CU-Recon Workspace")
     menu.layout.operator("curecon.import_model", text="COLMAP Model (CU-Recon)")
+    menu.layout.operator("curecon.import_comparison", text="Comparison (CU-Recon)")
 
 
 def _file_export(menu: bpy.types.Menu, context: bpy.types.Context) -> None:

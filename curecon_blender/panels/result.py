@@ -8,7 +8,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..languages import translated
-from ..scene import site
+from ..scene import comparison, site
 from ..scene.notes import TEXT_KEY, is_note
 from ..scene.surface import surfaces_of
 from ..scene.workspace import clouds_of
@@ -57,6 +57,9 @@ class CURECON_PT_result(Panel, bpy.types.Panel):
             layout.operator("curecon.accuracy_report", icon="TEXT")
             layout.operator("curecon.export_deliverables", icon="EXPORT")
             self._draw_publish(context, result)
+            layout.operator("curecon.import_comparison", icon="IMPORT")
+        if comparison.is_compared(context.active_object):
+            layout.operator("curecon.colour_comparison", icon="COLOR")
         row = layout.row(align=True)
         if clouds:
             row.prop(properties, "show_cloud", toggle=True, icon="POINTCLOUD_DATA")

@@ -17,6 +17,7 @@ COLOUR = "Color"  # Blender's own spelling, which other tools look for
 PRECISION = "precision"  # the attribute of points whose standard deviation is known
 MATERIAL = "CU-Recon Colour"
 CLOUD_KEY = "curecon_cloud"  # on the point clouds that viewport.py draws: the points of their file
+COMPARED_KEY = "curecon_compared"  # on other programs' clouds, which it draws in their own colours: their points
 VOXELS_PER_SPACING = 10  # about 20 points of a surface fall into a voxel of the radius estimate
 HASH_BITS = 24
 LARGEST_RADIUS = 1.5  # times the median: a lone point is no surface, and a big disc would hide what is behind it
@@ -261,12 +262,12 @@ def bounds(places: np.ndarray) -> Bounds | None:
     return low, high
 
 
-def colour_material() -> bpy.types.Material:
-    """The shared material: the photos' colours as they are, whatever the scene's light."""
-    material = bpy.data.materials.get(MATERIAL)
+def colour_material(name: str = MATERIAL) -> bpy.types.Material:
+    """A shared material: the photos' colours as they are, whatever the scene's light."""
+    material = bpy.data.materials.get(name)
     if material is not None:
         return material
-    material = bpy.data.materials.new(MATERIAL)
+    material = bpy.data.materials.new(name)
     if material.node_tree is None:  # before Blender 5.0 a new material has no nodes yet
         material.use_nodes = True
     nodes, links = material.node_tree.nodes, material.node_tree.links

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 
 import bpy
 import gpu
@@ -22,7 +23,7 @@ from mathutils import Matrix, Vector
 
 from . import cameras, display
 from .drawing import Drawing
-from .points import CLOUD_KEY, COLOUR, PRECISION
+from .points import CLOUD_KEY, COLOUR, COMPARED_KEY, PRECISION
 from .workspace import clouds_of
 
 MAX_POINT_PIXELS = 40.0
@@ -170,12 +171,16 @@ def _shown_share(context: bpy.types.Context, points: int) -> float:
     return MOVING_POINTS / points
 
 
+def _is_ours(data: bpy.types.PointCloud) -> bool:
+    return CLOUD_KEY in data or COMPARED_KEY in data
+
+
 def _draw() -> None:
     context = bpy.context
     space = context.space_data
     clouds = [
         item for item in context.view_layer.objects
-        if item.type == "POINTCLOUD" and CLOUD_KEY in item.data and item.visible_get(viewport=space)
+        if item.type == "POINTCLOUD" and _is_ours(item.data) and item.visible_get(viewport=space)
     ]
     edges = np.empty((0, 2, 3))
     if space.overlay.show_overlays and (unselected := [item for item in clouds if not item.select_get()]):
@@ -184,7 +189,7 @@ def _draw() -> None:
         if not bpy.app.timers.is_registered(_let_nodes_show):
             bpy.app.timers.register(_let_nodes_show, first_interval=0.0)  # nothing may be written while drawing
         return
-    alive = {_upload_key(data) for data in bpy.data.pointclouds if CLOUD_KEY in data}
+    alive = {_upload_key(data) for data in bpy.data.pointclouds if _is_ours(data)}
     for key in _uploads.keys() - alive:
         del _uploads[key]
     photo_alone = context.region_data.view_perspective == "CAMERA" and cameras.hides_scene(space.camera)
@@ -202,7 +207,9 @@ def _draw() -> None:
         pixels = view.window_matrix[1][1] * region.height * 0.85 * scale
         smallest = max(1.0, MIN_POINT_PIXELS * settings.size)
         size = pixels, smallest, MAX_POINT_PIXELS, item.matrix_world.median_scale
-        block = _block(settings, item, view.perspective_matrix, size, (region.width, region.height), edges)
+        by = settings if CLOUD_KEY in item.data else replace(
+            settings, colour_by=display.PHOTO, min_confidence=0.0, min_views=0, region_from_world=None)
+        block = _block(by, item, view.perspective_matrix, size, (region.width, region.height), edges)
         shader.uniform_block("show", block)
         upload = _uploads.setdefault(_upload_key(item.data), _Upload())
         upload.go_on(item.data)

@@ -36,6 +36,7 @@ from .photo_targets import check_picture, make_picture, picture_cases
 from .publish_targets import cases as publish_cases
 from .publish_targets import check_catalogue, check_figures, check_notes
 from .publish_targets import make as make_published
+from .result_targets import make_results, result_cases, result_reader
 from .target import Target
 from .workspace_targets import (
     check_accuracy,
@@ -83,6 +84,10 @@ TARGETS = {
     "outline_geojson": Target(make_outline, drawn_cases, outline_reader("geojson")),
     "outline_kml": Target(make_outline, kml_cases, outline_reader("kml")),
     "subtitles": Target(make_subtitles, subtitles_cases, check_subtitles),
+    "result_ply": Target(make_results, result_cases("a.ply", "b.ply"), result_reader("a.ply", "b.ply")),
+    "result_las": Target(make_results, result_cases("a.las", "a.laz"), result_reader("a.las", "a.laz")),
+    "result_mesh": Target(make_results, result_cases("a.obj", "a.glb"), result_reader("a.obj", "a.glb")),
+    "result_text": Target(make_results, result_cases("a.xyz"), result_reader("a.xyz")),
     "weights": Target(make_weights, weights_cases, check_weights),
     "notes": Target(make_published, publish_cases("notes.json"), check_notes),
     "figures": Target(make_published, publish_cases("report.json"), check_figures),

@@ -58,6 +58,7 @@ DETAILS = {  # beside the mesh itself: for phones, for the web, for presentation
 RUN, SURFACE, CHECK, REPORT = "reconstruct", "surface", "check", "report"
 CONTROL, EXPORT, PLAN, FRAMES = "control", "export", "plan", "frames"
 SELF_CHECK, LIBRARIES, PUBLISH = "self-check", "libraries", "publish"
+COMPARE = "compare"
 
 # What `export` writes, and what its coordinates count from.
 POINT_FORMATS = ("laz", "copc", "e57")
@@ -66,6 +67,7 @@ LINE_FORMATS = ("contours", "sections")  # of the mesh
 FORMATS = (*POINT_FORMATS, *SURFACE_FORMATS, *LINE_FORMATS)
 LOCAL, SITE, UTM = "local", "site", "utm"
 PLACEMENTS = (LOCAL, SITE, UTM)
+COMPARE_WAYS = ("coordinates", "pairs", "found")  # how `compare` lays another result on ours
 
 # What published pages tell of where a site is.
 EXACT, CELL, HIDDEN = "exact", "cell", "hidden"

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 from ..base.options import (
     CHECK,
+    COMPARE,
+    COMPARE_WAYS,
     CONTROL,
     DICTIONARIES,
     EXPORT,
@@ -51,6 +53,7 @@ EXIT_CODES = """exit codes:
  10  no mesh or no texture can be made     11  out of memory
  12  control points unusable          13  nothing of that format can be made of the site
  14  no flight can be planned         15  nothing can be published of the site, or not there
+ 16  results that cannot be compared
 130  cancelled
 """
 
@@ -113,6 +116,7 @@ def parser() -> argparse.ArgumentParser:
     libraries.add_argument("--processor", action="store_true", help="those for the processor, with an NVIDIA card too")
     _export_arguments(command(EXPORT, "the finished site in surveyors' formats"))
     _publish_arguments(command(PUBLISH, "the finished site as a folder of web pages, with a map of all sites in it"))
+    _compare(command(COMPARE, "other programs' results beside ours: distances, a sheet, change between dates"))
     command(SELF_CHECK, "reconstruct synthetic views, and say what this computer has")
     return main
 
@@ -148,6 +152,26 @@ def _plan(plan: argparse.ArgumentParser) -> None:
                       help="a camera that is not in the table")
     plan.add_argument("--minutes", type=_metres, help="of one battery, in place of the table's")
     plan.add_argument("--waypoints", type=int, help="that the flight app takes at once, in place of the table's")
+
+
+def _compare(compare: argparse.ArgumentParser) -> None:
+    """The arguments of the comparison, whose record is compare.write.Wishes."""
+    compare.add_argument("ours", type=Path, help="workspace, or file")
+    compare.add_argument("others", type=Path, nargs="*", help="PLY, LAS, LAZ, E57, OBJ, GLB, XYZ, or dense workspace")
+    compare.add_argument("--truth", type=Path, metavar="FILE", help="measure all by this, in our coordinates")
+    compare.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="for sheet, figures and clouds")
+    compare.add_argument("--by", choices=COMPARE_WAYS, default=COMPARE_WAYS[0],
+                         help="how the others are laid on ours (default: %(default)s)")
+    compare.add_argument("--pairs", type=Path, nargs="+", default=[], metavar="FILE",
+                         help="for each other, lines of x y z in it and x y z in ours")
+    compare.add_argument("--scale", action="store_true", help="find the others' scale, too")
+    compare.add_argument("--thresholds", type=_metres, nargs="+", default=[0.05, 0.1], metavar="METRES",
+                         help="of precision and completeness (default: 0.05 0.1)")
+    compare.add_argument("--names", nargs="+", default=[], help="of ours and the others")
+    compare.add_argument("--minutes", type=float, nargs="+", default=[], help="that ours and the others took")
+    compare.add_argument("--change", action="store_true", help="the others are later: what came, and what fell down")
+    compare.add_argument("--registration", type=float, metavar="METRES",
+                         help="standard deviation of how one date lies on the other")
 
 
 def _metres(text: str) -> float:

@@ -25,7 +25,7 @@ from ..base import messages
 from ..base.errors import CuReconError, OutOfMemory, SetupError, ran_out_of_memory
 from ..base.language import Text
 from ..base.messages import Message, Reporter
-from ..base.options import CONTROL, EXPORT, FRAMES, LIBRARIES, PLAN, PUBLISH
+from ..base.options import COMPARE, CONTROL, EXPORT, FRAMES, LIBRARIES, PLAN, PUBLISH
 from .command_line import about_of, choices_of, options_of, parser
 
 NEEDED = ("numpy", "PIL", "pillow_heif", "psutil", "cv2", "safetensors", "scipy", "torch", "pycolmap", "xatlas",
@@ -113,6 +113,14 @@ def _run(options: argparse.Namespace, reporter: Reporter) -> dict[str, object]:
 
         about = About(name=options.name, by=options.by, when=options.when)
         return report(options.workspace, about, options.language, options.font, reporter)
+    if options.command == COMPARE:
+        _require_libraries(("laspy", "lazrs"), by_hand=not options.messages)
+        from ..compare.write import Wishes, compare
+
+        wishes = Wishes(by=options.by, pairs=tuple(options.pairs), scaled=options.scale, names=tuple(options.names),
+                        thresholds=tuple(sorted(options.thresholds)), minutes=tuple(options.minutes),
+                        change=options.change, registration=options.registration)
+        return compare(options.ours, options.others, options.truth, options.out.absolute(), wishes, reporter)
     if options.command == EXPORT:
         _require_libraries(("laspy", "lazrs"), by_hand=not options.messages)
         from .export import export
@@ -230,6 +238,8 @@ def _in_words(summary: dict[str, object]) -> str:
     """The few figures that a person wants at the end."""
     if "report" in summary:
         return "\n".join(dict(summary["report"]).values())  # type: ignore[call-overload]
+    if "compare" in summary:
+        return "\n".join(summary["files"])  # type: ignore[arg-type]
     if "deliverables" in summary:
         made: Any = summary["deliverables"]
         return "\n".join([*summary["words"], *(f"{one['file']}: {one['says']}" for one in made)])  # type: ignore[misc]
