@@ -183,7 +183,7 @@ def _weighed(bundle: Bundle, stated: Bundle, ease: float) -> Bundle:
 
 def posterior_sigmas(bundle: Bundle) -> np.ndarray:
     """(L,9) what the adjustment leaves open of each lens parameter, from the inverse of the reduced system."""
-    system, *_ = _normal_equations(bundle, bundle.sigmas(), 0.0)
+    system, *_ = _normal_equations(bundle, bundle.sigmas(), 1e-9)  # with 0, a point as good as at infinity spoils it
     units = 1 / np.sqrt(np.maximum(np.diag(system), 1e-30))
     scaled = system * np.outer(units, units)
     scaled[np.diag_indices(len(system))] = 1 + 1e-10  # the datum, where nothing is known of it
