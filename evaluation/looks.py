@@ -8,9 +8,10 @@ SITE/truth/looks holds 24 views: 12 at eye level about the building and in its c
 into the truth's frame by the cameras and drawn from each. Of the pixels that truly show the building: *right* is where
 the mesh lies within 10 or 20 cm of the true surface there (the distance along the ray, times the cosine at which the
 ray meets the true surface, at least 0.2), *empty* where one sees no mesh, or only what lies more than a metre behind;
-*wrong* all else. PSNR (dB) and SSIM of the colours count the pixels right within 20 cm, after one gain for each channel
-over all views. The textured mesh is taken where there is one, else mesh.ply with its vertex colours. `--out` keeps
-pictures: truth, mesh, and right (grey), wrong (red), empty (blue).
+*wrong* all else, and *unmarked* what of that is marked neither as filled nor as weak. PSNR (dB) and SSIM of the colours
+count the pixels right within 20 cm, after one gain for each channel over all views. The textured mesh is taken where
+there is one, else mesh.ply with its vertex colours. `--out` keeps pictures: truth, mesh, and right (grey), wrong (red),
+empty (blue).
 """
 
 from __future__ import annotations
@@ -46,6 +47,7 @@ class Looks:
     right_10cm: float
     right_20cm: float
     wrong: float
+    unmarked: float
     empty: float
     psnr: float
     ssim: float
@@ -76,9 +78,11 @@ def read_truth(site: Path) -> Truth:
 
 def measure(mesh: Mesh, pages: list[np.ndarray], truth: Truth, out: Path | None = None) -> tuple[Looks, Looks, Looks]:
     """All views, those at eye level, those of the drone, for a mesh in the frame of the truth."""
-    rows, drawn = [], []
+    rows, drawn, told = [], [], []
+    marked = mesh.filled if mesh.weak is None else mesh.filled | mesh.weak
     for view, true in zip(truth.views, truth.depth, strict=True):
-        picture, depth, _ = render(mesh, pages, view)
+        picture, depth, shown = render(mesh, pages, view)
+        told.append((shown >= 0) & marked[np.maximum(shown, 0)])
         rows.append(_judge(depth, true, view))
         drawn.append(picture)
     pictures, verdicts = np.stack(drawn), np.stack(rows)
@@ -88,7 +92,8 @@ def measure(mesh: Mesh, pages: list[np.ndarray], truth: Truth, out: Path | None 
     if out is not None:
         _write(out, truth, pictures, verdicts)
     groups = slice(None), slice(None, EYE_LEVEL), slice(EYE_LEVEL, None)
-    every, eye, drone = (_summary(verdicts[group], matched[group], truth.pictures[group]) for group in groups)
+    every, eye, drone = (_summary(verdicts[group], np.stack(told)[group], matched[group], truth.pictures[group])
+                         for group in groups)
     return every, eye, drone
 
 
@@ -125,7 +130,7 @@ def _cosine(points: np.ndarray, rays: np.ndarray) -> np.ndarray:
     return cosine
 
 
-def _summary(verdicts: np.ndarray, pictures: np.ndarray, truth: np.ndarray) -> Looks:
+def _summary(verdicts: np.ndarray, marked: np.ndarray, pictures: np.ndarray, truth: np.ndarray) -> Looks:
     building = verdicts >= 0
     share = [100 * float((verdicts[building] == kind).mean()) for kind in range(4)]
     right = verdicts >= 2
@@ -135,6 +140,7 @@ def _summary(verdicts: np.ndarray, pictures: np.ndarray, truth: np.ndarray) -> L
         maps = [structural_similarity(a, b, channel_axis=2, full=True)[1] for a, b in zip(pictures, truth, strict=True)]
         ssim = float(np.stack(maps)[right].mean())
     return Looks(right_10cm=share[3], right_20cm=share[2] + share[3], wrong=share[1], empty=share[0],
+                 unmarked=100 * float((verdicts == 1)[building & ~marked].sum() / max(building.sum(), 1)),
                  psnr=noise, ssim=ssim)
 
 
@@ -159,9 +165,9 @@ def report(workspace: Path, site: Path, mesh_path: Path | None = None, out: Path
 
 def text(looks: tuple[Looks, Looks, Looks]) -> str:
     """As a table, for people."""
-    lines = [f"{'':16}{'right 10cm':>11}{'20cm':>7}{'wrong':>7}{'empty':>7}{'PSNR':>7}{'SSIM':>7}"]
+    lines = [f"{'':16}{'right 10cm':>11}{'20cm':>7}{'wrong':>7}{'unmarked':>9}{'empty':>7}{'PSNR':>7}{'SSIM':>7}"]
     for name, r in zip(("all views", "at eye level", "as a drone"), looks, strict=True):
-        lines.append(f"{name:16}{r.right_10cm:11.1f}{r.right_20cm:7.1f}{r.wrong:7.1f}{r.empty:7.1f}{r.psnr:7.2f}"
+        lines.append(f"{name:16}{r.right_10cm:11.1f}{r.right_20cm:7.1f}{r.wrong:7.1f}{r.unmarked:9.1f}{r.empty:7.1f}{r.psnr:7.2f}"
                      f"{r.ssim:7.3f}")
     return "\n".join(lines)
 

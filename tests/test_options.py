@@ -18,6 +18,7 @@ OTHERS = Options(
     precision="fp32", scheduler="tcp://10.0.0.1:8786", mapper="global", matches="both",
     weights=Path("w.safetensors"),
     min_confidence=0.6, min_views=4, max_reprojection_error=0.5, max_depth_difference=0.02, fill_holes=False,
+    extent="everything",
     max_faces=5000, region=(-1e-7, -2.5, 0.0, 1.0, 2.0, 3.0), region_turn=(1.0, 0.0, -1e-8, 0.0), texture_size=1024,
     texture_format="jpeg", detail=("20k", "1m"), surplus=True,
     control=(Path("gcp list.txt"), Path("marks.csv")), control_system="UTM 50N",

@@ -60,7 +60,7 @@ def _show(
     result.workspace, result.points, result.photos = str(folder), imported.points, photos
     result.cameras, result.parts = len(imported.cameras), imported.parts
     result.faces, result.textured = imported.faces, imported.textured
-    result.filled, result.unseen = 100 * imported.filled, 100 * imported.unseen
+    result.filled, result.weak, result.unseen = 100 * imported.filled, 100 * imported.weak, 100 * imported.unseen
     properties.display_fraction = min(100.0, 100.0 * EASY_POINTS / max(imported.points, 1))
     cameras.show(scene, properties.show_cameras)
     properties.show_cloud, properties.show_surface = not imported.surfaces, True

@@ -43,7 +43,7 @@ def _of_surface(scene: bpy.types.Scene, workspace: Path) -> dict[str, Any]:
     """The fields of Options that mesh and texture depend on."""
     properties = scene.curecon
     chosen: dict[str, Any] = {
-        "fill_holes": properties.fill_holes,
+        "fill_holes": properties.fill_holes, "extent": properties.extent,
         "max_faces": properties.max_faces or PRESETS[properties.quality].mesh_faces,
         "texture_size": int(properties.texture_size), "texture_format": properties.texture_format,
     }

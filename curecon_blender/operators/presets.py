@@ -21,8 +21,8 @@ class CURECON_OT_add_preset(AddPresetBase, bpy.types.Operator):
     preset_defines = ["properties = bpy.context.scene.curecon"]
     preset_values = [
         f"properties.{name}"
-        for name in ("quality", "goal", "max_image_size", "views", "fill_holes", "max_faces", "texture_size",
-                     "texture_format")
+        for name in ("quality", "goal", "max_image_size", "views", "fill_holes", "extent", "max_faces",
+                     "texture_size", "texture_format")
     ]
 
 

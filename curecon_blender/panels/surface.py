@@ -60,6 +60,9 @@ class CURECON_PT_surface(Panel, bpy.types.Panel):
         else:
             filled = iface_("All of it measured")
         column.label(text=filled, icon="OVERLAY", translate=False)
+        if result.weak >= 0.05:
+            weak = iface_("{:.1f} % weak: one photo alone measured it").format(result.weak)
+            column.label(text=weak, icon="OVERLAY", translate=False)
         if result.unseen >= 0.05:
             unseen = iface_("{:.1f} % unseen: no photo shows its colour").format(result.unseen)
             column.label(text=unseen, icon="HIDE_ON", translate=False)
@@ -85,6 +88,7 @@ class CURECON_PT_surface_advanced(AdvancedPanel, bpy.types.Panel):
     def draw_settings(self, context: bpy.types.Context, properties: bpy.types.PropertyGroup) -> None:
         layout = self.layout
         layout.prop(properties, "fill_holes")
+        layout.prop(properties, "extent", expand=True)
         column = layout.column(align=True)
         column.label(text=QUALITYS_OWN)
         column.prop(properties, "max_faces")

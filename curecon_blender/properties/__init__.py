@@ -57,6 +57,11 @@ TEXTURE_FORMATS = (
     ("png", "PNG", "Exact colours, large files"),
     ("jpeg", "JPEG", "A tenth of the size, with slight losses"),
 )
+EXTENTS = (
+    ("site", "Site", "Without the background that photos saw only from afar: what no photo shows finer than three "
+     "times the usual pixel size"),
+    ("everything", "Everything", "All that was measured"),
+)
 LIGHTS = (
     ("PHOTO", "Photos", "The photos' colours as they are, with the light of the day they were taken"),
     ("SCENE", "Scene", "A matte surface in the light of the scene's lamps and sky, on top of the photos' own shadows"),
@@ -162,6 +167,9 @@ class CURECON_PG_scene(bpy.types.PropertyGroup):
         name="Fill Holes",
         description="Close the surface where nothing was measured; such faces are marked as filled. Off: holes stay",
         default=True,
+    )
+    extent: EnumProperty(
+        name="Extent", description="How much of what was measured the mesh holds", items=EXTENTS, default="site",
     )
     max_faces: IntProperty(
         name="Max Faces",

@@ -22,6 +22,7 @@ class CURECON_PG_result(bpy.types.PropertyGroup):
     faces: IntProperty(description="Faces of the surface; 0 when there is none")
     textured: BoolProperty(description="The surface is painted with the photos")
     filled: FloatProperty(description="Per cent of the surface's area that no photo measured, 0 to 100")
+    weak: FloatProperty(description="Per cent of the surface's area that one photo alone measured, 0 to 100")
     unseen: FloatProperty(description="Per cent of the surface's area whose colour no photo shows, 0 to 100")
     published: StringProperty(description="The folder that it was published into; empty: none", subtype="DIR_PATH")
 

@@ -76,6 +76,7 @@ def arrays(mesh: Mesh, pages: list[Path]) -> SurfaceArrays:
     whole = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
     if not whole.all():
         mesh = replace(mesh, faces=faces[whole], filled=mesh.filled[whole],
+                       weak=None if mesh.weak is None else mesh.weak[whole],
                        unseen=None if mesh.unseen is None else mesh.unseen[whole],
                        uv=None if mesh.uv is None else mesh.uv[whole],
                        page=None if mesh.page is None else mesh.page[whole])
@@ -100,8 +101,8 @@ def build(
 ) -> Generator[str, None, bpy.types.Object]:
     """Link a mesh object with the surface into `collection`, a few milliseconds of work a step; returns it.
 
-    Attributes: Color, distance (world units to the nearest measured point) and views a vertex; filled a face; unseen
-    a face, UVs and the pages' images where it is textured. Images stay in their files unless `pack`.
+    Attributes: Color, distance (world units to the nearest measured point) and views a vertex; filled, weak and
+    unseen a face; UVs and the pages' images where it is textured. Images stay in their files unless `pack`.
     """
     mesh = content.mesh
     data = bpy.data.meshes.new(name)
@@ -116,8 +117,9 @@ def build(
         (COLOUR, "FLOAT_COLOR", "POINT", "color", content.colours),
         ("material_index", "INT", "FACE", "value", content.material),
     ]
-    if mesh.unseen is not None:
-        values.append(("unseen", "BOOLEAN", "FACE", "value", mesh.unseen))
+    for mark, which in (("weak", mesh.weak), ("unseen", mesh.unseen)):
+        if which is not None:
+            values.append((mark, "BOOLEAN", "FACE", "value", which))
     if mesh.uv is not None:
         values.append((UV, "FLOAT2", "CORNER", "vector", mesh.uv))
     if content.tinted is not None:

@@ -32,6 +32,7 @@ from ..core.surface.mesh import (
     read_mesh,
     textured_folder,
     unseen_share,
+    weak_share,
 )
 from ..core.views.record import read as read_components
 from . import backdrop, cameras, cloud_edits, display, frame, new_file, placing, points, surface
@@ -45,13 +46,14 @@ UNPLACED_KEY = "curecon_unplaced"  # on the collection while it is built, and in
 @dataclass(frozen=True, kw_only=True)
 class Imported:
     """What an import brought in. `clouds` are the PointCloud objects and `surfaces` the mesh objects, largest component
-    first; `filled` and `unseen` are the shares of the surfaces' area that no photo measured, and whose colour none
-    shows; `bounds` is what a view should hold."""
+    first; `filled`, `weak` and `unseen` are the shares of the surfaces' area that no photo measured, that one
+    alone measured, and whose colour none shows; `bounds` is what a view should hold."""
 
     collection: bpy.types.Collection
     clouds: tuple[bpy.types.Object, ...]
     surfaces: tuple[bpy.types.Object, ...]
     filled: float
+    weak: float
     unseen: float
     cameras: tuple[bpy.types.Object, ...]
     parts: int
@@ -88,12 +90,13 @@ class PartContent:
 
 @dataclass(frozen=True, kw_only=True)
 class Content:
-    """All that a workspace `folder` brings into a scene, in arrays as Blender stores them; `filled`, `unseen`,
-    `stale_edits` and `bounds` as in Imported, `ground` the linear colour of the ground."""
+    """All that a workspace `folder` brings into a scene, in arrays as Blender stores them; `filled`, `weak`,
+    `unseen`, `stale_edits` and `bounds` as in Imported, `ground` the linear colour of the ground."""
 
     folder: Path
     parts: tuple[PartContent, ...]
     filled: float
+    weak: float
     unseen: float
     stale_edits: bool
     bounds: points.Bounds | None  # in the frame of the part `about`
@@ -124,7 +127,8 @@ def read(folder: Path, detail: str = "") -> Content:
         ))
     bounds, about = _bounds(parts)
     return Content(
-        folder=folder, parts=tuple(parts), filled=filled_share(meshes), unseen=unseen_share(meshes),
+        folder=folder, parts=tuple(parts), filled=filled_share(meshes), weak=weak_share(meshes),
+        unseen=unseen_share(meshes),
         control=read_control(folder),
         stale_edits=any(is_stale(folder / part.component.cloud) for part in parts), bounds=bounds, about=about,
         ground=next((backdrop.ground_colour(part.cloud) for part in parts if part.cloud is not None), backdrop.GREY),
@@ -281,7 +285,7 @@ def _place(scene: bpy.types.Scene, content: Content, top: bpy.types.Collection) 
     return Imported(
         collection=top, clouds=clouds, cameras=photo_cameras,
         surfaces=tuple(item for item in top.all_objects if surface.is_surface(item)), filled=content.filled,
-        unseen=content.unseen, parts=len(content.parts),
+        weak=content.weak, unseen=content.unseen, parts=len(content.parts),
         missing_pictures=sum(not item.data.background_images for item in photo_cameras),
         stale_edits=content.stale_edits, cleared=cleared, stray=tuple(part.collection.name for part in stray),
         bounds=_in_world(content.bounds, parts[content.about]) if content.bounds is not None else None,

@@ -57,6 +57,12 @@ class Cloud:
                        normals=(self.normals @ rotation.T).astype(np.float32))
 
 
+def joined(*clouds: Cloud) -> Cloud:
+    """One cloud of several."""
+    return Cloud(**{field.name: np.concatenate([getattr(cloud, field.name) for cloud in clouds])
+                    for field in fields(Cloud)})
+
+
 class CloudWriter(RowWriter):
     """Streams points into a PLY file that appears under its name only when the `with` block ends well. `shift` is what
     to add to come back to a given model's coordinates."""

@@ -120,10 +120,11 @@ class Integrity:
 
 @dataclass(frozen=True, kw_only=True)
 class Authenticity:
-    """Shares of the mesh's area that no photo measured, and that no photo shows; points that the user removed;
-    `likeness` of the textured mesh to the photos, PSNR in dB, as it looks from `compared` of them."""
+    """Shares of the mesh's area that no photo measured, that one alone did, and whose colour none shows; points that
+    the user removed; `likeness` of the textured mesh to the photos, PSNR in dB, as it looks from `compared` of them."""
 
     filled: float | None
+    weak: float | None
     unseen: float | None
     removed_points: int
     likeness: Spread | None

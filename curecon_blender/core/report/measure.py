@@ -20,7 +20,7 @@ from ..base.messages import Reporter
 from ..base.records import Component, Frame, Photo, View
 from ..cloud.edits import read_removed
 from ..cloud.ply import Cloud, read_cloud
-from ..surface.mesh import Mesh, filled_share, mesh_file, read_mesh, textured_folder, unseen_share
+from ..surface.mesh import Mesh, filled_share, mesh_file, read_mesh, textured_folder, unseen_share, weak_share
 from ..surface.triangles import triangle_areas
 from ..views import sparse_points
 from .figures import (
@@ -141,7 +141,8 @@ def measure(
             seen_by_kind={kind: seen_well(shown.take(which)) for kind, which in kinds.items()},
         ),
         authenticity=Authenticity(
-            filled=filled, unseen=None if textured is None else unseen_share([textured]),
+            filled=filled, weak=None if mesh is None else weak_share([mesh]),
+            unseen=None if textured is None else unseen_share([textured]),
             removed_points=len(cloud) - len(kept), compared=0 if likeness is None else len(likeness.psnr),
             likeness=None if likeness is None or not likeness.psnr else spread(np.array(likeness.psnr)),
         ),

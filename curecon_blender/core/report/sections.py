@@ -257,6 +257,7 @@ def _authenticity(site: Site, lettering: Lettering) -> Section:
                           share(real.filled))]
     rows: list[tuple[Text, str]] = [
         (Text("Mesh that was filled"), Text("no mesh") if real.filled is None else share(real.filled)),
+        (Text("Mesh that one photo alone measured"), Text("no mesh") if real.weak is None else share(real.weak)),
         (Text("Texture that no photo shows"), Text("no texture") if real.unseen is None else share(real.unseen)),
         (Text("Points that were removed by hand"), f"{real.removed_points:,}"),
     ]

@@ -32,7 +32,7 @@ from ..depth.estimate import choose_device, choose_precision, features_kept
 from ..sparse.matches import PHOTOS_KEPT
 from ..sparse.pairs import expected_pairs, metadata_pairs
 from ..sparse.parallel import threads
-from ..surface.build import POINTS_A_FACE, MeshOptions
+from ..surface.build import most_points
 from .workspace import folder_bytes
 
 GOALS = ("fusion", *SURFACE_STAGES)  # what a job may end with
@@ -205,8 +205,7 @@ def _peak_bytes(photos: tuple[Photo, ...], options: Options) -> dict[str, float]
     per_pixel += options.source_views * tiles.BYTES_PER_SOURCE_PIXEL
     tile = max(min(tiles.BASE_BYTES + max(pixels) * per_pixel, budget), tiles.LEAST_BUDGET)
     features = min(budget / 4, sum(sorted(pixels)[-features_kept(options) :]) * FEATURE_BYTES_PER_PIXEL)
-    faces = max(options.mesh_faces, MeshOptions.max_faces)  # fewer take no more of the cloud away
-    meshed = min(sum(pixels), PIXELS_A_POINT * POINTS_A_FACE * faces)
+    meshed = min(sum(pixels), PIXELS_A_POINT * most_points(options.mesh_faces))
     peaks = {
         "photos": readers * full,
         "sparse": max(readers * (full + picture), matching * options.preset.max_features,

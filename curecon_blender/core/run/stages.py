@@ -40,6 +40,7 @@ from ..sparse import find_cameras
 from ..surface.build import MeshOptions, build_mesh
 from ..surface.detail import simplified
 from ..surface.mesh import detail_folder, mesh_file, read_mesh, textured_folder, write_mesh
+from ..surface.sight import Sight
 from ..texture.texture import TextureOptions, texture_mesh
 from ..texture.transfer import transfer_texture
 from ..views import record as views_record
@@ -230,14 +231,16 @@ def _build_meshes(job: Job) -> None:
     options, root = job.options, job.root
     x0, y0, z0, x1, y1, z1 = options.region or (0.0,) * 6
     region = ((x0, y0, z0), (x1, y1, z1)) if options.region else None
-    settings = MeshOptions(fill_holes=options.fill_holes, max_faces=options.mesh_faces, region=region)
+    settings = MeshOptions(fill_holes=options.fill_holes, extent=options.extent, max_faces=options.mesh_faces,
+                           region=region)
     turn = from_quaternion(options.region_turn) if options.region_turn else None
 
     def build(component: Component) -> None:
         cloud = read_edited_cloud(root / component.cloud)
         with scratch_folder(root / "mesh") as scratch:
             # Along the region's own axes, and back.
-            mesh = build_mesh(cloud if turn is None else cloud.rotated(turn), settings, scratch, job.reporter)
+            mesh = build_mesh(cloud if turn is None else cloud.rotated(turn), settings, scratch, job.reporter,
+                              Sight(component, root, job.reporter, turn))
         if turn is not None:
             mesh = replace(mesh, vertices=(mesh.vertices @ turn).astype("float32"))
         write_mesh(root / mesh_file(component.index), mesh)
@@ -321,8 +324,8 @@ STAGES = {stage.name: stage for stage in (
     DEPTH,
     Stage(name="fusion", version=3, weight=0.1, files=("cloud*.ply",), run=_fuse, in_budget=True,
           options=("min_confidence", "min_views", "max_reprojection_error", "max_depth_difference")),
-    Stage(name="mesh", version=1, weight=0.15, files=("mesh*.ply",), run=_build_meshes, inputs=_edits,
-          options=("fill_holes", "mesh_faces", "region", "region_turn")),
+    Stage(name="mesh", version=2, weight=0.15, files=("mesh*.ply",), run=_build_meshes, inputs=_edits,
+          options=("fill_holes", "extent", "mesh_faces", "region", "region_turn")),
     Stage(name="texture", version=2, weight=0.25, files=("textured*/*",), run=_texture_meshes,
           options=("texture_size", "texture_format")),
 )}

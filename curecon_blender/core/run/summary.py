@@ -12,7 +12,7 @@ from ..adjust.record import read_accuracy, rms
 from ..base.options import SURFACE_STAGES
 from ..cloud.ply import point_count
 from ..sparse.models import MAPPED
-from ..surface.mesh import filled_share, mesh_file, read_mesh, textured_folder, unseen_share
+from ..surface.mesh import filled_share, mesh_file, read_mesh, textured_folder, unseen_share, weak_share
 from ..views import record as views_record
 from .stages import Job
 from .workspace import folder_bytes
@@ -63,7 +63,8 @@ def _surface(root: Path, index: int) -> dict[str, Any]:
     textured = root / textured_folder(index) / "mesh.ply"
     mesh = read_mesh(textured if textured.exists() else root / mesh_file(index))
     return {"index": index, "faces": len(mesh.faces), "vertices": len(mesh.vertices),
-            "filled_share": round(filled_share([mesh]), 4), "unseen_share": round(unseen_share([mesh]), 4),
+            "filled_share": round(filled_share([mesh]), 4), "weak_share": round(weak_share([mesh]), 4),
+            "unseen_share": round(unseen_share([mesh]), 4),
             "textured": textured.exists()}
 
 

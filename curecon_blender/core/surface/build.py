@@ -1,15 +1,15 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The fused cloud to a surface: screened Poisson (Kazhdan and Hoppe 2013), cut back to what the photos measured.
+"""The fused cloud to a surface: screened Poisson (Kazhdan and Hoppe 2013), cut back to what is known.
 
-Poisson closes everything: it spans the sky between two roofs as readily as a missing roof tile. So each piece of its
-surface is asked how far the nearest measured point is, against how densely the cloud was measured there:
+Poisson closes everything: it spans the sky between two roofs as readily as a missing roof tile. So it is told more than
+the cloud holds, and each piece of its surface is asked what carries it:
 
-* near enough is *supported*;
-* a small, flat unsupported piece with supported surface all around it is a hole, closed and marked *filled*;
-* anything else that is unsupported (balloons, skirts beyond the site's edge, bags under eaves) is cut away.
-
-On the sample site 57 % of the area of such flat pieces lies within 20 cm of the truth, of others as small 13 %.
+* what two photos or more measured is *measured*, what one sure photo alone tells is *weak* (sight.py);
+* where walls, roofs and ground go on over a gap that no photo looks through (continuation.py), and small flat pieces
+  with supported surface all around, are *filled*;
+* anything else (balloons, skirts beyond the site's edge, bags under eaves) is cut away, along an iso-line of how far
+  the nearest point is (borders.py).
 
 Lengths are in spacings: the local spacing is the side of the square that one point of the cloud has to itself.
 """
@@ -27,20 +27,27 @@ import numpy as np
 from ..base.files import disk_errors
 from ..base.language import Text
 from ..base.messages import Reporter
-from ..cloud.ply import Cloud
+from ..cloud.ply import Cloud, joined
+from .borders import clip, smoothed
 from .clean import clean, drop_small_parts, orient, worth_keeping
+from .continuation import continued
+from .extent import FAR, NEAR, within
 from .mesh import Mesh, MeshError
 from .poisson import poisson, read_triangles, simplify, write_triangles
+from .sight import Sight, weak_points
 from .support import LEAST_POINTS, Support, median_spacing, remove_outliers, thin, usable_points
 
 # More than that many points for each face that may stay do not show: they are thinned out, or a large site's mesh would
-# need memory without end. (A smaller face target than the usual one gets the usual one's points.)
-POINTS_A_FACE = 4
+# need memory without end.
+POINTS_A_FACE = 3
+_FEWEST_FACES = 250_000  # a smaller face target gets the points of this one
 _LARGEST_HOLE = 25.0  # median spacings from any measured point to the middle of a hole that is closed
+_GAP_REACH = 2.5  # median spacings from the points that continue a gap to what closes it
+_ROUNDING = 3  # rounds of averaging with the neighbours that make the surface's border smooth
 _REGION_MARGIN = 10.0  # median spacings: what lies just outside the region still shapes the surface within
 
 
-SHARES = (10, 45, 15, 20, 10)  # per cent of the time that each step takes
+SHARES = (25, 35, 15, 15, 10)  # per cent of the time that each step takes
 WAITS = 15.0, 10.0  # seconds in which a million points go half through Poisson, and a million faces to fewer
 
 
@@ -49,18 +56,29 @@ class MeshOptions:
     """How the surface is made.
 
     `fill_holes`: close small holes and mark them as filled; False leaves them open, so that every face was measured.
+    `extent`: "site", without the background that photos saw only from afar, or "everything".
     `max_faces`: simplify to at most so many triangles. `region`: low and high corner of an upright box in the site
     frame; only surface inside it is made.
     """
 
     fill_holes: bool = True
+    extent: str = "site"
     max_faces: int = 1_000_000
     region: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
 
 
-def build_mesh(cloud: Cloud, options: MeshOptions, scratch: Path, reporter: Reporter) -> Mesh:
+def most_points(max_faces: int) -> int:
+    """How many points at most a mesh of so many faces is made of."""
+    return int(POINTS_A_FACE * max(max_faces, _FEWEST_FACES))
+
+
+def build_mesh(
+    cloud: Cloud, options: MeshOptions, scratch: Path, reporter: Reporter, sight: Sight | None = None
+) -> Mesh:
     """The surface of `cloud` (site frame) as triangles, with colour, support and what is filled; no UVs.
 
+    `sight` are the photos' depth maps, in the cloud's axes: without them nothing is known of what is empty, holes are
+    closed only where they are small and flat, and a warning says so.
     `scratch` is a folder for Poisson's and the simplification's files, which are deleted again; beside it Poisson's
     surface is kept until the mesh is finished, so that what is cancelled later goes on from there. Progress is in
     per cent. The mesh is finite, without degenerate faces or unused vertices, with at most two faces an edge, and faces
@@ -69,10 +87,16 @@ def build_mesh(cloud: Cloud, options: MeshOptions, scratch: Path, reporter: Repo
     """
     _check(options)
     reporter.progress(0, 100)
-    cloud, spacing, local_spacing = _measured(cloud, options, reporter)
-    support = Support(cloud, local_spacing)
+    cloud, local_spacing, thinned = _measured(cloud, options, sight, reporter)
+    spacing = median_spacing(cloud.points)
+    gaps = cloud.take(np.zeros(0, np.int64))
+    _begin(reporter, 0, 0.5)
+    if options.fill_holes and sight:
+        gaps = continued(cloud.take(within(cloud.points, sight.views, spacing, NEAR)), spacing, sight)
+        reporter.log(f"{len(gaps)} points continue walls, roofs and ground over gaps.")
+    support = Support(cloud, local_spacing, thinned, gaps.points, _GAP_REACH * spacing)
     _begin(reporter, 1)
-    vertices, faces = _untrimmed(cloud, spacing, scratch, reporter, scratch.parent)
+    vertices, faces = _untrimmed(joined(cloud, gaps), spacing, scratch, reporter, scratch.parent)
     _begin(reporter, 2)
     vertices, faces = _trimmed(vertices, faces, support, spacing, options)
     _begin(reporter, 3)
@@ -84,11 +108,12 @@ def build_mesh(cloud: Cloud, options: MeshOptions, scratch: Path, reporter: Repo
             remedy="Reconstruct with a higher quality or more photos, or choose a larger region.",
         )
     _begin(reporter, 4)
-    filled = support.unmeasured_faces(vertices, faces)
+    filled, weak = support.judged(vertices, faces)
     if not options.fill_holes and filled.any():  # faces that bridge a gap from one measured point to another
         vertices, faces = clean(vertices, faces[~filled], spacing)
+        weak = support.judged(vertices, faces)[1]
         filled = np.zeros(len(faces), bool)
-    mesh = support.with_attributes(vertices, orient(vertices, faces, support), filled)
+    mesh = support.with_attributes(vertices, orient(vertices, faces, support), filled, weak)
     for kept in scratch.parent.glob(".poisson_*.ply"):
         kept.unlink(missing_ok=True)
     reporter.progress(100, 100)
@@ -143,15 +168,27 @@ def _check(options: MeshOptions) -> None:
                             remedy="Give its low and its high corner, each x, y, z, the high one larger in all three.")
 
 
-def _measured(cloud: Cloud, options: MeshOptions, reporter: Reporter) -> tuple[Cloud, float, np.ndarray]:
-    """The points that the surface is made of, their median spacing, and the local spacing (n,) of each."""
+def _measured(
+    cloud: Cloud, options: MeshOptions, sight: Sight | None, reporter: Reporter
+) -> tuple[Cloud, np.ndarray, float]:
+    """The points that the surface is made of, the local spacing (n,) of each before they were thinned, and the side of
+    the cubes that they were thinned by."""
     cloud = usable_points(cloud, reporter)
     if options.region is not None:
         cloud = _crop(cloud, np.array(options.region), _REGION_MARGIN * median_spacing(cloud.points))
-    cloud = thin(cloud, int(POINTS_A_FACE * max(options.max_faces, MeshOptions.max_faces)), reporter)
     spacing = median_spacing(cloud.points)
+    if sight:
+        weak = weak_points(cloud, sight, spacing)
+        reporter.log(f"{len(weak)} points are told by one photo alone.")
+        cloud = joined(cloud, weak)
+    elif sight is not None:
+        reporter.warning("There are no depth maps: what photos looked through is not known, and only small flat holes "
+                         "are closed.")
+    if options.extent == "site" and sight is not None:
+        cloud = cloud.take(within(cloud.points, sight.views, spacing, FAR))
     cloud, local_spacing = remove_outliers(cloud, spacing)
-    return cloud, spacing, local_spacing
+    kept, side = thin(cloud, most_points(options.max_faces), reporter)
+    return cloud.take(kept), local_spacing[kept], side
 
 
 def _crop(cloud: Cloud, region: np.ndarray, margin: float) -> Cloud:
@@ -169,12 +206,23 @@ def _trimmed(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The sound part of Poisson's surface that lies in the region and is measured, or closes a hole."""
     distance, nearest = support.nearest(vertices)
-    supported = distance <= support.radius[nearest]
+    slack = (1 - distance / support.radius[nearest]).clip(-1, 1)
+    loose = np.flatnonzero(slack < 0)
+    slack[loose[support.goes_on(vertices[loose])]] = 1
+    supported = slack >= 0
     largest_hole = _LARGEST_HOLE * spacing if options.fill_holes else 0.0
-    faces = faces[worth_keeping(vertices, faces, supported, distance, largest_hole)]
+    slack[worth_keeping(vertices, faces, supported, distance, largest_hole) & ~supported] = 1
+    before = len(vertices)
+    vertices, faces = clip(vertices, faces, smoothed(slack, faces, _ROUNDING))
     if options.region is not None:
-        low, high = np.array(options.region)
-        faces = faces[((vertices >= low) & (vertices <= high)).all(axis=1)[faces].all(axis=1)]
+        for axis, (low, high) in enumerate(np.array(options.region).T):
+            vertices, faces = clip(vertices, faces, vertices[:, axis] - np.float32(low))
+            vertices, faces = clip(vertices, faces, np.float32(high) - vertices[:, axis])
+        vertices = np.clip(vertices, *np.array(options.region, np.float32))
+    if len(vertices) > before:
+        more, more_nearest = support.nearest(vertices[before:])
+        nearest = np.concatenate([nearest, more_nearest])
+        supported = np.concatenate([supported, more <= support.radius[more_nearest]])
     faces = drop_small_parts(vertices, faces, supported, support.spacing[nearest])
     return clean(vertices, faces, spacing)
 

@@ -12,6 +12,7 @@ from .triangles import face_neighbours, face_normals, mesh_edges, triangle_areas
 
 _FLAT = 0.85  # length of a piece's mean unit normal, from which on it goes on as the surface around it does
 _SMALLEST_PART = 500  # points' worth of surface: a part with less is floating dust
+_SMALLEST_SHARE = 0.002  # of the largest part: what is smaller, and hangs together with nothing, is a raft
 _SHORTEST_EDGE = 1e-3  # median spacings: vertices nearer than this are one
 _SAMPLE = 20_000  # faces that tell which way they all look
 
@@ -19,13 +20,14 @@ _SAMPLE = 20_000  # faces that tell which way they all look
 def worth_keeping(
     vertices: np.ndarray, faces: np.ndarray, supported: np.ndarray, distance: np.ndarray, largest_hole: float
 ) -> np.ndarray:
-    """Faces (m,) bool that are supported at all corners, or that close a small, flat hole between such faces.
+    """Vertices (n,) bool that are supported, or that belong to what closes a small, flat hole between such.
 
     `supported` (n,) bool and `distance` (n,) are the vertices'. With `largest_hole` 0 no hole is closed.
     """
     keep: np.ndarray = supported[faces].all(axis=1)
+    result = supported.copy()
     if not largest_hole or keep.all():
-        return keep
+        return result
     loose = np.flatnonzero(~keep)
     neighbours = face_neighbours(faces)[loose]
     at_border = (neighbours < 0).any(axis=1)
@@ -38,8 +40,9 @@ def worth_keeping(
     normals = face_normals(vertices, faces[loose])
     mean = np.stack([np.bincount(piece, weights=normals[:, axis]) for axis in range(3)], axis=1)
     flat = np.linalg.norm(mean, axis=1) >= _FLAT * np.bincount(piece, weights=np.linalg.norm(normals, axis=1))
-    keep[loose] = ((depth <= largest_hole) & flat & ~ends_in_the_air)[piece]
-    return keep
+    closing = ((depth <= largest_hole) & flat & ~ends_in_the_air)[piece]
+    result[faces[loose[closing]]] = True
+    return result
 
 
 def drop_small_parts(
@@ -52,7 +55,8 @@ def drop_small_parts(
     measured = supported[faces].all(axis=1)
     squares = triangle_areas(vertices[faces]) / local_spacing[faces].mean(axis=1) ** 2
     points = np.bincount(part, weights=measured * squares)
-    large: np.ndarray = faces[points[part] >= _SMALLEST_PART]
+    least = max(_SMALLEST_PART, _SMALLEST_SHARE * points.max())
+    large: np.ndarray = faces[points[part] >= least]
     return large
 
 

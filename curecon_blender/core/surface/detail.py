@@ -22,10 +22,10 @@ _SAMPLES = 4  # a coarse face, about, for each fine one that may lie on it
 def simplified(mesh: Mesh, count: int, scratch: Path, reporter: Reporter) -> Mesh:
     """The mesh with at most `count` faces, by quadric edge collapse; the mesh itself where it has no more.
 
-    Each vertex takes colour, distance and views of the nearest one of the finer mesh. A face is `filled` where at
-    least half of the finer surface that it stands for is. UVs, pages and `unseen` are dropped: texture the result
-    anew. `scratch` is a folder for files, which are deleted again. Raises MeshError for a count below 1 or where
-    nothing is left, and WorkspaceError for a full disk.
+    Each vertex takes colour, distance and views of the nearest one of the finer mesh. A face is `filled` or `weak`
+    where at least half of the finer surface that it stands for is. UVs, pages and `unseen` are dropped: texture the
+    result anew. `scratch` is a folder for files, which are deleted again. Raises MeshError for a count below 1 or
+    where nothing is left, and WorkspaceError for a full disk.
     """
     if count < 1:
         raise MeshError(Text("A mesh of {} faces cannot be made.", count), remedy="Ask for at least one face.")
@@ -38,9 +38,10 @@ def simplified(mesh: Mesh, count: int, scratch: Path, reporter: Reporter) -> Mes
                         remedy="Ask for more faces.")
     nearest = cKDTree(mesh.vertices).query(vertices)[1]
     stands_for = _coarse_face(mesh, vertices, faces)
+    filled = _vote(mesh.filled, mesh, stands_for, vertices, faces)
+    weak = None if mesh.weak is None else _vote(mesh.weak, mesh, stands_for, vertices, faces) & ~filled
     return replace(mesh, vertices=vertices, faces=faces, colours=mesh.colours[nearest],
-                   distance=mesh.distance[nearest], views=mesh.views[nearest],
-                   filled=_vote(mesh.filled, mesh, stands_for, vertices, faces))
+                   distance=mesh.distance[nearest], views=mesh.views[nearest], filled=filled, weak=weak)
 
 
 def _sound(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

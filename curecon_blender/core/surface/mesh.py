@@ -24,7 +24,7 @@ _VERTEX = row_type([
     ("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1"),
     ("distance", "<f4"), ("views", "u1"),
 ])
-_MARKS = "filled", "unseen"
+_MARKS = "filled", "weak", "unseen"
 _TEXTURE: list[Field] = [("texcoord", "<f4", 6), ("texnumber", "<i4")]
 _LISTS = {"vertex_indices": 3, "texcoord": 6}
 _PAGE = "TextureFile "  # a comment, one a page
@@ -42,6 +42,7 @@ class Mesh:
     `vertices` (N,3) float32; `faces` (M,3) int32, counter-clockwise seen from outside; `colours` (N,3) uint8 sRGB;
     `distance` (N,) float32, how far the nearest measured point is, in world units; `views` (N,) uint8, how many photos
     confirm what was measured there, 0 where nothing was; `filled` (M,) bool, faces that no photo measured;
+    `weak` (M,) bool, faces that one photo alone measured (None where that is not known);
     `unseen` (M,) bool, apart from that, faces whose colour no photo shows (None before they are painted).
     A textured mesh has `uv` (M,3,2) float32, each corner's place on its page, v upwards from 0 at the bottom,
     `page` (M,) int32 and `pages`, the pages' picture files, relative to the mesh's own file.
@@ -53,6 +54,7 @@ class Mesh:
     distance: np.ndarray
     views: np.ndarray
     filled: np.ndarray
+    weak: np.ndarray | None = None
     unseen: np.ndarray | None = None
     uv: np.ndarray | None = None
     page: np.ndarray | None = None
@@ -76,6 +78,11 @@ class Mesh:
 def filled_share(meshes: Iterable[Mesh]) -> float:
     """The share, 0 to 1, of the meshes' area together that no photo measured."""
     return _share((mesh, mesh.filled) for mesh in meshes)
+
+
+def weak_share(meshes: Iterable[Mesh]) -> float:
+    """The share, 0 to 1, of the meshes' area together that one photo alone measured."""
+    return _share((mesh, mesh.weak) for mesh in meshes)
 
 
 def unseen_share(meshes: Iterable[Mesh]) -> float:

@@ -47,9 +47,9 @@ getattr(pycolmap, call)(source, target, options)
 
 def poisson(cloud: Cloud, spacing: float, scratch: Path, reporter: Reporter) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (n,3) float32 and faces (m,3) int32 of the untrimmed Poisson surface, from an octree whose leaves are
-    about `spacing` wide. Raises MeshError, and WorkspaceError for a full disk."""
+    one to two times `spacing` wide. Raises MeshError, and WorkspaceError for a full disk."""
     extent = _CUBE * float(np.ptp(cloud.points, axis=0).max())
-    depth = int(np.clip(np.round(np.log2(extent / spacing)), *_DEPTHS))
+    depth = int(np.clip(np.floor(np.log2(extent / spacing)), *_DEPTHS))
     source, target = scratch / "poisson_points.ply", scratch / "poisson_surface.ply"
     with _exchange(source, target, "No surface could be made of the cloud",
                    "See that the disk is not full; reconstruct again if the cloud looks wrong."):

@@ -21,6 +21,7 @@ _CELL = 4.0  # median spacings: side of the cells, 3x3x3 of which are a point's 
 _TRUSTED = 0.4  # of the cloud's median confidence: a point with less is not used
 _DENSE = 20  # trusted points in a block from which on a point need not be surer than that
 _REACH = 2.5  # local spacings from a measured point to what it supports
+_REACH_THIN = 1.25  # sides of the cubes that a cloud was thinned by: no radius is smaller
 _NEIGHBOURS = 4  # measured points that a vertex takes its colour and views from
 
 
@@ -63,10 +64,11 @@ def median_spacing(points: np.ndarray) -> float:
     return spacing
 
 
-def thin(cloud: Cloud, most: int, reporter: Reporter) -> Cloud:
-    """At most so many points, evenly: the surest of every cube of a grid, as fine a grid as that allows."""
+def thin(cloud: Cloud, most: int, reporter: Reporter) -> tuple[np.ndarray, float]:
+    """Indices of at most so many points, evenly: the surest of every cube of a grid, as fine a grid as that allows; and
+    the side of the cubes, 0 where all points may stay."""
     if len(cloud) <= most:
-        return cloud
+        return np.arange(len(cloud)), 0.0
     side = median_spacing(cloud.points) * np.sqrt(len(cloud) / most)
     surest = np.argsort(-cloud.confidence, kind="stable")
     while True:
@@ -77,7 +79,7 @@ def thin(cloud: Cloud, most: int, reporter: Reporter) -> Cloud:
             break
         side *= 1.02 * np.sqrt(len(first) / most)  # a surface's cubes become fewer with the square of their side
     reporter.log(f"The surface is made of {len(first)} of the cloud's {len(cloud)} points.")
-    return cloud.take(np.sort(surest[first]))
+    return np.sort(surest[first]), side
 
 
 def remove_outliers(cloud: Cloud, spacing: float) -> tuple[Cloud, np.ndarray]:
@@ -114,20 +116,33 @@ def _block_around(points: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarr
 
 
 class Support:
-    """The measured points, the local spacing at each, `spacing` (n,) float32, and how far from each the surface counts
-    as measured, `radius` (n,) float32."""
+    """The measured points, the local spacing at each before they were thinned to one in each cube of side `thinned`,
+    `spacing` (n,) float32, and how far from each the surface counts as measured, `radius` (n,) float32. Points that one
+    photo alone tells have 1 view. `continued` (k,3) are places where surfaces go on unmeasured, `reach` apart at most.
+    """
 
-    def __init__(self, cloud: Cloud, local_spacing: np.ndarray) -> None:
+    def __init__(
+        self, cloud: Cloud, local_spacing: np.ndarray, thinned: float, continued: np.ndarray, reach: float
+    ) -> None:
         self.cloud, self.spacing = cloud, local_spacing
-        self.radius = _REACH * local_spacing
+        self.radius = np.maximum(_REACH * local_spacing, _REACH_THIN * np.float32(thinned))
         self._tree = cKDTree(cloud.points, balanced_tree=False, compact_nodes=False)
+        self._continued = cKDTree(continued, balanced_tree=False, compact_nodes=False) if len(continued) else None
+        self._reach = reach
+
+    def goes_on(self, places: np.ndarray) -> np.ndarray:
+        """Whether an unmeasured surface is known to go on at places (m,3), (m,) bool."""
+        if self._continued is None or not len(places):
+            return np.zeros(len(places), bool)
+        near: np.ndarray = self._continued.query(places, distance_upper_bound=self._reach, workers=-1)[0] < np.inf
+        return near
 
     def nearest(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Distance (m,) float32 and index (m,) of the measured point nearest to each of places (m,3)."""
         distance, index = self._tree.query(places, workers=-1)
         return distance.astype(np.float32), index
 
-    def with_attributes(self, vertices: np.ndarray, faces: np.ndarray, filled: np.ndarray) -> Mesh:
+    def with_attributes(self, vertices: np.ndarray, faces: np.ndarray, filled: np.ndarray, weak: np.ndarray) -> Mesh:
         """The mesh with colours, distances and views."""
         distance, index = self._tree.query(vertices, k=_NEIGHBOURS, workers=-1)
         weight = 1 / (distance + 1e-3 * self.radius[index[:, :1]])
@@ -138,11 +153,12 @@ class Support:
         return Mesh(
             vertices=vertices, faces=faces, colours=np.rint(colours).astype(np.uint8),
             distance=distance[:, 0].astype(np.float32), views=views.astype(np.uint8),
-            filled=filled,
+            filled=filled, weak=weak & ~filled,
         )
 
-    def unmeasured_faces(self, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-        """Faces (m,) bool of which no photo measured the larger part.
+    def judged(self, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Faces (m,) bool of which no photo measured the larger part, and those of which one photo alone measured most
+        of what was measured.
 
         A simplified face may be far larger than the hole in it or than the holes that it bridges, so that its corners
         do not tell: it is probed at places spread over it, as many as support radii fit into it.
@@ -155,9 +171,10 @@ class Support:
         number = np.arange(len(face)) - np.repeat(np.cumsum(probes) - probes, probes)
         places = np.einsum("nk,nkc->nc", _r2_sequence(number), corners[face])
         distance, index = self.nearest(places)
-        unsupported = np.bincount(face, weights=distance > self.radius[index], minlength=len(faces))
-        filled: np.ndarray = 2 * unsupported > probes
-        return filled
+        beyond = distance > self.radius[index]
+        alone = ~beyond & (self.cloud.views[index] <= 1)
+        unsupported, weak = (np.bincount(face, weights=which, minlength=len(faces)) for which in (beyond, alone))
+        return 2 * unsupported > probes, 2 * weak > probes - unsupported
 
 
 def _r2_sequence(number: np.ndarray) -> np.ndarray:

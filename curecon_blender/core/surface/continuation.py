@@ -1,0 +1,361 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where nothing was measured, a wall goes on as a wall: points that continue the surfaces about a hole.
+
+Photos from the air leave out the top of a wall under its eave, its shaded foot, the middle of a façade behind a tree.
+What was measured about such a place is mostly smooth and bent in one direction: plane, cylinder or cone. So about every
+square metre or so a sheet is fitted to the measured points, flat along the slope and curved across it. A gap in it is
+closed along lines that begin and end on what was measured: on the sheet itself, or, up and down a wall, on the roof or
+the ground that it meets. Where a recess lies behind the gap or a photo looks through it, it is none. Trees and rubble
+fit no sheet and are left alone. On a sixth of the sample site, the gate's, 87 % of what closes walls and 93 % of what
+closes roofs and ground lies within 20 cm of the truth; before gaps had to end on something, 20 and 45 %.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from ..cloud.ply import Cloud
+from .sight import Sight, looked_through
+
+CELL = 2.5  # spacings: side of the cells that points are gathered in, and of the lattice of a sheet
+REACH = 14  # cells: half the side of the square that a sheet is fitted in
+_HIGHER = 14  # cells: how much farther up and down a wall goes on, straight
+_WIDTH, _HEIGHT = 2 * REACH + 1, 2 * (REACH + _HIGHER) + 1  # nodes of a sheet's lattice, along it and up the slope
+_DENSE = 2  # points for each node of the lattice, along each side
+_SEED = 6  # cells: side of the cubes, each of which may begin a sheet a direction
+_ALIKE = 0.8  # cosine of the angle between the normals of a sheet and of a point of it
+_THICK = 3.0  # cells: how far from the sheet's tangent plane points are looked for
+_ON = 0.8  # cells: how far from the sheet its own points lie at most
+_LEAST = 160  # cells of points that carry a sheet
+_GOOD = 0.7  # of the points about it that must lie on a sheet
+_FULL = 0.97  # of the sheet's nodes: it has no gap
+_STEEP = 0.5  # of a normal's z: what is steeper is a wall and goes on until something stops it
+_RECESS = 4  # cells behind a gap: a surface measured there says that it is none
+_FINE = 0.006  # of the depth: by how much farther a photo must see to look through a gap
+_GAP, _OWN, _BLOCKED, _EMPTY = 0, 1, 2, 3
+_compiled: Any = njit(nogil=True, error_model="numpy")
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """Measured points gathered in cells: `points`, `normals` (n,3) means of each cell and direction, sorted by the
+    bucket of REACH cells' side that they lie in; `buckets` (b,) their keys with `starts` (b+1,); `cells` (c,) the
+    sorted keys of all cells that hold a point; `low` (3,) and `side`."""
+
+    points: np.ndarray
+    normals: np.ndarray
+    buckets: np.ndarray
+    starts: np.ndarray
+    cells: np.ndarray
+    low: np.ndarray
+    side: float
+
+
+def continued(cloud: Cloud, spacing: float, sight: Sight) -> Cloud:
+    """Points (with 0 views) that continue the surfaces of `cloud` over their gaps, about one a spacing."""
+    side = CELL * spacing
+    grid = _gather(cloud.points, cloud.normals, side)
+    sheets, state = _sheets(grid)
+    gaps = np.flatnonzero(_bridged(state, sheets.steep))
+    places, directions = sheets.nodes(gaps, grid)
+    state[gaps[looked_through(places, sight, _FINE) > 0]] = _EMPTY
+    length = _bridged(state, sheets.steep)[gaps]
+    found = np.flatnonzero(length > 0)
+    kept = found[_shortest_first(places[found], length[found], side)]
+    points, normals = _spread(places[kept], directions[kept], side)
+    count = len(points)
+    return Cloud(points=points, colours=np.full((count, 3), 128, np.uint8), normals=normals,
+                 confidence=np.full(count, np.median(cloud.confidence), np.float32), views=np.zeros(count, np.uint8))
+
+
+def _spread(places: np.ndarray, normals: np.ndarray, side: float) -> tuple[np.ndarray, np.ndarray]:
+    """Points and normals (n * _DENSE^2,3) float32 spread evenly over squares of this side about places (n,3)."""
+    flat = np.abs(normals[:, 2]) > 0.99
+    u = np.where(flat[:, None], [1.0, 0, 0], np.stack([-normals[:, 1], normals[:, 0], 0 * normals[:, 0]], axis=1))
+    u -= (u * normals).sum(axis=1, keepdims=True) * normals
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    v = np.cross(normals, u)
+    steps = (np.arange(_DENSE) - (_DENSE - 1) / 2) / _DENSE * side
+    points = [places + first * u + second * v for first in steps for second in steps]
+    return np.concatenate(points).astype(np.float32), np.tile(normals, (_DENSE**2, 1)).astype(np.float32)
+
+
+def _key(places: np.ndarray) -> np.ndarray:
+    """Keys (n,) int64 of integer places (n,3)."""
+    key: np.ndarray = (places[:, 0] << 42) + (places[:, 1] << 21) + places[:, 2]
+    return key
+
+
+def _direction(normals: np.ndarray) -> np.ndarray:
+    """Which of the six directions of the axes normals (n,3) are nearest to, (n,) int64."""
+    axis = np.abs(normals).argmax(axis=1)
+    return 2 * axis + (np.take_along_axis(normals, axis[:, None], axis=1)[:, 0] < 0)
+
+
+def _gather(points: np.ndarray, normals: np.ndarray, side: float) -> _Grid:
+    low = points.min(axis=0).astype(np.float64) - 8 * side * REACH
+    places = np.floor((points - low) / side).astype(np.int64)
+    key = _key(places) * 8 + _direction(normals)
+    order = np.argsort(key, kind="stable")
+    first = np.flatnonzero(np.r_[True, np.diff(key[order]) > 0])
+    count = np.diff(np.r_[first, len(key)])[:, None]
+    mean = np.add.reduceat((points - low)[order], first, axis=0) / count
+    normal = np.add.reduceat(normals[order].astype(np.float64), first, axis=0) / count
+    length = np.linalg.norm(normal, axis=1)
+    good = length > _ALIKE
+    mean, normal = mean[good], normal[good] / length[good, None]
+    bucket = _key(np.floor(mean / (side * REACH)).astype(np.int64))
+    order = np.argsort(bucket, kind="stable")
+    buckets, starts = np.unique(bucket[order], return_index=True)
+    return _Grid(mean[order], normal[order], buckets, np.r_[starts, len(mean)], np.unique(_key(places)), low, side)
+
+
+@dataclass(frozen=True)
+class _Sheets:
+    """Sheets about `centres` (s,3), each h = c0 + c1 a + c2 b + c3 a^2 in cells along `axes` (s,3,3): level, up the
+    slope, outwards; `bends` (s,4) are the c; `steep` (s,) bool are walls."""
+
+    centres: np.ndarray
+    axes: np.ndarray
+    bends: np.ndarray
+    steep: np.ndarray
+
+    def nodes(self, numbers: np.ndarray, grid: _Grid) -> tuple[np.ndarray, np.ndarray]:
+        """Places and normals (n,3) float32 of nodes, numbered sheet by sheet."""
+        sheet, node = np.divmod(numbers, _WIDTH * _HEIGHT)
+        a, b = node // _HEIGHT - REACH, node % _HEIGHT - REACH - _HIGHER
+        c, axes = self.bends[sheet], self.axes[sheet]
+        height = c[:, 0] + c[:, 1] * a + c[:, 2] * b + c[:, 3] * a * a
+        places = self.centres[sheet] + grid.low
+        places += grid.side * np.einsum("kn,nkc->nc", np.stack([a, b, height]), axes)
+        normals = np.einsum("kn,nkc->nc", np.stack([-c[:, 1] - 2 * c[:, 3] * a, -c[:, 2], np.ones(len(a))]), axes)
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        return places.astype(np.float32), normals.astype(np.float32)
+
+
+def _sheets(grid: _Grid) -> tuple[_Sheets, np.ndarray]:
+    """All sheets with gaps, and the states of all their nodes."""
+    seeds = np.floor(grid.points / (_SEED * grid.side)).astype(np.int64)
+    _, seed = np.unique(_key(seeds) * 8 + _direction(grid.normals), return_index=True)
+    numbers, bends, axes, state = _fit(
+        seed, grid.points, grid.normals, grid.buckets, grid.starts, grid.cells, grid.side)
+    centres = grid.points[numbers]
+    return _Sheets(centres, axes, bends, np.abs(grid.normals[numbers, 2]) < _STEEP), state
+
+
+def _shortest_first(places: np.ndarray, gap: np.ndarray, side: float) -> np.ndarray:
+    """One place a cell, that in the shortest gap."""
+    low = places.min(axis=0) if len(places) else 0
+    key = _key(np.floor((places - low) / side).astype(np.int64))
+    order = np.argsort(gap, kind="stable")
+    chosen: np.ndarray = order[np.unique(key[order], return_index=True)[1]]
+    return chosen
+
+
+@_compiled
+def _holds(cells, x, y, z, side):  # type: ignore[no-untyped-def]
+    """Whether the cell at a place holds a point."""
+    key = (np.int64(np.floor(x / side)) << 42) + (np.int64(np.floor(y / side)) << 21) + np.int64(np.floor(z / side))
+    at = np.searchsorted(cells, key)
+    return at < len(cells) and cells[at] == key
+
+
+@_compiled
+def _about(centre, buckets, starts, wide, into):  # type: ignore[no-untyped-def]
+    """The numbers of the points in the 27 buckets about a place, written to `into`; how many they are."""
+    bx, by, bz = np.int64(centre[0] // wide), np.int64(centre[1] // wide), np.int64(centre[2] // wide)
+    count = 0
+    for dx in range(-1, 2):
+        for dy in range(-1, 2):
+            for dz in range(-1, 2):
+                key = ((bx + dx) << 42) + ((by + dy) << 21) + bz + dz
+                at = np.searchsorted(buckets, key)
+                if at < len(buckets) and buckets[at] == key:
+                    for i in range(starts[at], starts[at + 1]):
+                        if count < len(into):
+                            into[count] = i
+                            count += 1
+    return count
+
+
+@_compiled
+def _occupied(a, b, reach):  # type: ignore[no-untyped-def]
+    """How many of the lattice's nodes have a point near them."""
+    width = 2 * reach + 1
+    held = np.zeros(width * width, np.bool_)
+    for k in range(len(a)):
+        held[int(np.round(a[k]) + reach) * width + int(np.round(b[k]) + reach)] = True
+    return held.sum()
+
+
+@_compiled
+def _curved(a, b, h, reach):  # type: ignore[no-untyped-def]
+    """The sheet h = c0 + c1 a + c2 b + c3 a^2 that most of the points lie on: least squares, reweighted."""
+    weight = np.ones(len(a))
+    c = np.zeros(4)
+    for _ in range(4):
+        s1 = sa = sb = saa = sab = sbb = saaa = saab = saaaa = 0.0
+        r1 = ra = rb = raa = 0.0
+        for k in range(len(a)):
+            w, x, y, z = weight[k], a[k], b[k], h[k]
+            wx, wy, wxx = w * x, w * y, w * x * x
+            s1 += w
+            sa += wx
+            sb += wy
+            saa += wxx
+            sab += wx * y
+            sbb += wy * y
+            saaa += wxx * x
+            saab += wxx * y
+            saaaa += wxx * x * x
+            r1 += w * z
+            ra += wx * z
+            rb += wy * z
+            raa += wxx * z
+        # little curvature where little tells it
+        normal = np.array([[s1, sa, sb, saa], [sa, saa, sab, saaa], [sb, sab, sbb, saab],
+                           [saa, saaa, saab, saaaa + 1e4 / reach**2]])
+        for i in range(4):
+            normal[i, i] += 1e-6
+        c = np.linalg.solve(normal, np.array([r1, ra, rb, raa]))
+        for k in range(len(a)):
+            off = (h[k] - c[0] - c[1] * a[k] - c[2] * b[k] - c[3] * a[k] * a[k]) / _ON
+            weight[k] = 1 / (1 + off * off * off * off)
+    return c
+
+
+@_compiled
+def _axes(n):  # type: ignore[no-untyped-def]
+    """Level, up the slope, and outwards, for a sheet whose normal is n."""
+    u = np.array([-n[1], n[0], 0.0]) if n[2] * n[2] < 0.98 else np.array([1.0, 0.0, 0.0]) - n * n[0]
+    u /= np.sqrt((u * u).sum())
+    axes = np.empty((3, 3))
+    axes[0], axes[2] = u, n
+    axes[1] = np.array([n[1] * u[2] - n[2] * u[1], n[2] * u[0] - n[0] * u[2], n[0] * u[1] - n[1] * u[0]])
+    return axes
+
+
+@_compiled
+def _state_of(centre, axes, c, a, b, h, cells, side, state):  # type: ignore[no-untyped-def]
+    """Which nodes of a sheet its own points (a,b,h) lie on, what other surfaces stop, and where gaps are; returns
+    whether there are any."""
+    higher = _HIGHER if abs(axes[2, 2]) < _STEEP else 0
+    state[:] = _EMPTY
+    for i in range(_WIDTH):
+        for j in range(_HIGHER - higher, _HEIGHT - _HIGHER + higher):
+            state[i * _HEIGHT + j] = _GAP
+    for k in range(len(a)):
+        if abs(h[k] - c[0] - c[1] * a[k] - c[2] * b[k] - c[3] * a[k] * a[k]) < _ON:
+            state[int(np.round(a[k]) + REACH) * _HEIGHT + int(np.round(b[k]) + REACH + _HIGHER)] = _OWN
+    for i in range(_WIDTH):
+        for j in range(_HEIGHT):
+            at = i * _HEIGHT + j
+            if state[at] != _GAP:
+                continue
+            x, y = i - REACH, j - REACH - _HIGHER
+            place = centre + side * (x * axes[0] + y * axes[1] + (c[0] + c[1] * x + c[2] * y + c[3] * x * x) * axes[2])
+            out = axes[2] - (c[1] + 2 * c[3] * x) * axes[0] - c[2] * axes[1]
+            out /= np.sqrt((out * out).sum())
+            for back in range(-1, _RECESS + 1):
+                p = place - back * side * out
+                if _holds(cells, p[0], p[1], p[2], side):
+                    state[at] = _BLOCKED
+                    break
+    # A node beside the sheet's own points is its own noise, not another surface.
+    edge = state.copy()
+    for i in range(1, _WIDTH - 1):
+        for j in range(1, _HEIGHT - 1):
+            at = i * _HEIGHT + j
+            if edge[at] == _BLOCKED:
+                own = 0
+                for di in range(-1, 2):
+                    for dj in range(-1, 2):
+                        own += edge[at + di * _HEIGHT + dj] == _OWN
+                if own >= 5:
+                    state[at] = _OWN
+    return (state == _GAP).any()
+
+
+@_compiled
+def _fit(seeds, points, normals, buckets, starts, cells, side):  # type: ignore[no-untyped-def]
+    """The seeds about which there is a sheet with gaps, its bends and axes, and the states of the nodes."""
+    numbers, bends, axes_of, states = [seeds[0]], [np.zeros(4)], [np.eye(3)], [np.zeros(0, np.int8)]
+    near = np.empty(200_000, np.int64)
+    for seed in seeds:
+        centre, n = points[seed], normals[seed]
+        axes = _axes(n)
+        count = 0
+        total = _about(centre, buckets, starts, side * REACH, near)
+        a, b, h = np.empty(total), np.empty(total), np.empty(total)
+        for k in range(total):
+            i = near[k]
+            if (normals[i] * n).sum() < _ALIKE:
+                continue
+            d = points[i] - centre
+            x, y, z = (d * axes[0]).sum() / side, (d * axes[1]).sum() / side, (d * n).sum() / side
+            if abs(x) <= REACH and abs(y) <= REACH and abs(z) <= _THICK + 0.02 * (x * x + y * y):
+                a[count], b[count], h[count] = x, y, z
+                count += 1
+        if count < _LEAST or _occupied(a[:count], b[:count], REACH) > _FULL * _WIDTH * _WIDTH:
+            continue
+        c = _curved(a[:count], b[:count], h[:count], REACH)
+        own = 0
+        for k in range(count):
+            own += abs(h[k] - c[0] - c[1] * a[k] - c[2] * b[k] - c[3] * a[k] * a[k]) < _ON
+        if own < _LEAST or own < _GOOD * count:
+            continue
+        state = np.empty(_WIDTH * _HEIGHT, np.int8)
+        if _state_of(centre, axes, c, a[:count], b[:count], h[:count], cells, side, state):
+            numbers.append(seed)
+            bends.append(c)
+            axes_of.append(axes)
+            states.append(state)
+    count = len(numbers) - 1
+    chosen, all_bends, all_axes = np.empty(count, np.int64), np.empty((count, 4)), np.empty((count, 3, 3))
+    state = np.empty(count * _WIDTH * _HEIGHT, np.int8)
+    for k in range(count):
+        chosen[k], all_bends[k], all_axes[k] = numbers[k + 1], bends[k + 1], axes_of[k + 1]
+        state[k * _WIDTH * _HEIGHT : (k + 1) * _WIDTH * _HEIGHT] = states[k + 1]
+    return chosen, all_bends, all_axes, state
+
+
+# Long: the two directions of a line share all of it.
+@_compiled
+def _bridged(state, steep):  # type: ignore[no-untyped-def]
+    """How long the gap is that each node (n,) lies in, (n,) int16, in nodes along a line of its sheet that begins and
+    ends on what was measured; 0 where there is none. On a wall a line up the slope may end on another surface, and one
+    line is enough; elsewhere both its lines must end on the sheet itself: where only one does, it is below 0."""
+    size = _WIDTH * _HEIGHT
+    length = np.zeros(len(state), np.int16)
+    for sheet in range(len(steep)):
+        low = sheet * size
+        for up in (False, True):
+            lines, nodes = (_WIDTH, _HEIGHT) if up else (_HEIGHT, _WIDTH)
+            for line in range(lines):
+                start, step = (line * _HEIGHT, 1) if up else (line, _HEIGHT)
+                begin = -1  # the last node that is no gap
+                for k in range(nodes):
+                    here = state[low + start + k * step]
+                    if here == _GAP:
+                        continue
+                    if begin >= 0 and k - begin > 1:
+                        first = state[low + start + begin * step]
+                        both = first == _OWN and here == _OWN
+                        if both or (up and steep[sheet] and ((first == _OWN and here == _BLOCKED)
+                                                             or (first == _BLOCKED and here == _OWN))):
+                            for m in range(begin + 1, k):
+                                at = low + start + m * step
+                                run = k - begin - 1
+                                if not up:
+                                    length[at] = run if steep[sheet] else -run
+                                elif steep[sheet]:
+                                    length[at] = run if length[at] == 0 else min(run, length[at])
+                                else:
+                                    length[at] = min(run, -length[at]) if length[at] < 0 else -run
+                    begin = k
+    return length

@@ -1,0 +1,150 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What closes a surface's gaps and what keeps them open: sheets that go on, and photos that look through."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from curecon_blender.core.base.messages import Reporter
+from curecon_blender.core.base.records import Component, Frame, View
+from curecon_blender.core.cloud.ply import Cloud, joined
+from curecon_blender.core.surface.borders import clip
+from curecon_blender.core.surface.build import MeshOptions, build_mesh
+from curecon_blender.core.surface.continuation import continued
+from curecon_blender.core.surface.extent import FAR, within
+from curecon_blender.core.surface.sight import Glance, Sight, looked_through, weak_points
+from curecon_blender.core.surface.triangles import triangle_areas
+
+SPACING = 0.04
+TOP, ROOF = 2.0, 2.7  # metres: where the measured part of the wall ends, and where the roof is
+K = np.array([[200.0, 0, 160], [0, 200.0, 120], [0, 0, 1]])
+
+
+def plane(origin: tuple[float, ...], u: tuple[float, ...], v: tuple[float, ...]) -> Cloud:
+    a, b = np.array(u), np.array(v)
+    steps = [np.arange(0.5, np.linalg.norm(side) / SPACING) * SPACING / np.linalg.norm(side) for side in (a, b)]
+    weights = np.stack(np.meshgrid(*steps), axis=-1).reshape(-1, 2)
+    points = np.array(origin) + weights @ np.stack([a, b])
+    points += np.random.default_rng(1).normal(0, 0.05 * SPACING, points.shape)
+    normal, count = np.cross(a, b) / np.linalg.norm(np.cross(a, b)), len(points)
+    return Cloud(points=points.astype(np.float32), colours=np.full((count, 3), 128, np.uint8),
+                 normals=np.tile(normal, (count, 1)).astype(np.float32), confidence=np.full(count, 0.9, np.float32),
+                 views=np.full(count, 4, np.uint8))
+
+
+def house() -> Cloud:
+    """A wall at y = 0 that looks to -y, measured up to TOP, with a roof over it that juts out, and the ground before
+    it."""
+    return joined(plane((-2, 0, 0), (4, 0, 0), (0, 0, TOP)), plane((-2, -1.5, ROOF), (4, 0, 0), (0, 3, 0)),
+                  plane((-2, -3, 0), (4, 0, 0), (0, 3, 0)))
+
+
+class Looks(Sight):
+    """A photo from y = -8, 1.2 m above the ground, whose depth map is given."""
+
+    def __init__(self, depth: float, sure: bool = True) -> None:
+        rotation = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+        pose = np.column_stack([rotation, -rotation @ np.array([0, -8, 1.2])])
+        self.views = self._told = [View(name="a.jpg", image="a.jpg", width=320, height=240, K=K, cam_from_world=pose,
+                                        near=1.0, far=100.0, sources=())]
+        self._depth, self._confidence = depth, 0.9 if sure else 0.1
+
+    def glances(self) -> Iterator[Glance]:
+        depth = np.full((240, 320), self._depth, np.float32)
+        confidence = np.full(depth.shape, self._confidence, np.float32)
+        yield Glance(self.views[0], depth, confidence > 0.5, confidence, np.zeros((240, 320, 3), np.uint8))
+
+
+def test_a_wall_goes_on_up_to_its_roof_where_no_photo_is_sure() -> None:
+    made = continued(house(), SPACING, Looks(30.0, sure=False))
+    wall = made.points[np.abs(made.normals[:, 1]) > 0.9]
+    middle = wall[np.abs(wall[:, 0]) < 1]
+    assert np.abs(wall[:, 1]).max() < SPACING and wall[:, 2].max() < ROOF + SPACING
+    heights = np.histogram(middle[:, 2], np.arange(TOP + 0.1, ROOF - 0.15, 0.1))[0]
+    assert (heights > 10).all()
+    assert (made.views == 0).all()
+    assert not (made.points[:, 2] > ROOF + SPACING).any() and made.points[:, 2].min() > -SPACING
+
+
+def test_a_gap_that_a_sure_photo_looks_through_stays_open() -> None:
+    made = continued(house(), SPACING, Looks(30.0))
+    assert not ((np.abs(made.normals[:, 1]) > 0.9) & (made.points[:, 2] > TOP + 0.1)
+                & (np.abs(made.points[:, 0]) < 1)).any()
+
+
+def test_a_wall_with_nothing_above_it_ends_where_it_was_measured() -> None:
+    wall = plane((-2, 0, 0), (4, 0, 0), (0, 0, TOP))
+    assert not len(continued(wall, SPACING, Looks(30.0, sure=False)))
+
+
+def test_what_one_sure_photo_alone_tells_is_weak_and_new() -> None:
+    cloud, sight = house(), Looks(8.0)  # its depth map is the plane y = 0
+    weak = weak_points(cloud, sight, SPACING)
+    assert len(weak) > 1000 and (weak.views == 1).all()
+    assert np.abs(weak.points[:, 1]).max() < 0.01 and (weak.normals[:, 1] < -0.99).all()
+    measured = (weak.points[:, 2] > 0.1) & (weak.points[:, 2] < TOP - 0.1) & (np.abs(weak.points[:, 0]) < 1.8)
+    assert not measured.any()
+    assert not len(weak_points(cloud, Looks(8.0, sure=False), SPACING))
+
+
+def test_places_before_a_sure_depth_are_looked_through() -> None:
+    places = np.array([[0, -4, 1.2], [0, 1, 1.2], [0, -9, 1.2], [90, -4, 1.2]], np.float32)
+    assert looked_through(places, Looks(8.0)).tolist() == [1, 0, 0, 0]
+    assert not looked_through(places, Looks(8.0, sure=False)).any()
+
+
+def test_the_closed_wall_is_marked_as_filled(tmp_path: Path) -> None:
+    mesh = build_mesh(house(), MeshOptions(), tmp_path / "scratch", Reporter(), Looks(30.0, sure=False))
+    centres = mesh.vertices[mesh.faces].mean(axis=1)
+    band = (np.abs(centres[:, 1]) < 4 * SPACING) & (np.abs(centres[:, 0]) < 1.5)
+    gap = band & (centres[:, 2] > TOP + 0.2) & (centres[:, 2] < ROOF - 0.2)
+    wall = band & (centres[:, 2] > 0.3) & (centres[:, 2] < TOP - 0.2)
+    assert gap.any() and mesh.filled[gap].all() and not mesh.filled[wall].any()
+    assert mesh.areas[gap].sum() > 0.7 * 3 * (ROOF - TOP - 0.4)
+
+
+def test_without_depth_maps_it_is_said_what_is_lost(tmp_path: Path) -> None:
+    frame = Frame(scale="unknown", up="gravity", north=False)
+    component = Component(index=0, sparse="sparse/0", cloud="cloud.ply", frame=frame, views=())
+    reporter = Reporter()
+    build_mesh(house(), MeshOptions(), tmp_path / "scratch", reporter, Sight(component, tmp_path, reporter))
+    assert any("no depth maps" in warning for warning in reporter.warnings)
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.37])
+def test_a_border_is_cut_along_the_iso_line(slope: float) -> None:
+    x, y = np.meshgrid(np.arange(11.0), np.arange(11.0))
+    vertices = np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3).astype(np.float32)
+    corner = (np.arange(10)[:, None] * 11 + np.arange(10)).ravel()
+    faces = np.concatenate([np.stack([corner, corner + 1, corner + 11], 1),
+                            np.stack([corner + 1, corner + 12, corner + 11], 1)]).astype(np.int32)
+    field = vertices[:, 0] - 4.3 + slope * (vertices[:, 1] - 5)
+    cut, kept = clip(vertices, faces, field)
+    assert triangle_areas(cut[kept]).sum() == pytest.approx(57, rel=1e-3)
+    inside = cut[np.unique(kept)]
+    assert (inside[:, 0] - 4.3 + slope * (inside[:, 1] - 5)).min() > -0.03
+    normals = np.cross(cut[kept][:, 1] - cut[kept][:, 0], cut[kept][:, 2] - cut[kept][:, 0])
+    assert (normals[:, 2] > 0).all()
+
+
+def test_background_that_photos_saw_only_from_afar_is_no_site() -> None:
+    view = Looks(8.0).views[0]
+    x = np.linspace(-1, 1, 50)
+    wall = np.stack(np.meshgrid(x, [0.0], x + 1.2), axis=-1).reshape(-1, 3)
+    fields = np.stack(np.meshgrid(10 * x[::5], [40.0], x[::5] + 1.2), axis=-1).reshape(-1, 3)
+    points = np.concatenate([wall, fields]).astype(np.float32)
+    inside = within(points, [view], SPACING, FAR)
+    assert inside[: len(wall)].all() and not inside[len(wall) :].any()
+    assert within(points, [], SPACING, FAR).all()
+
+
+def test_the_background_stays_where_everything_is_asked_for(tmp_path: Path) -> None:
+    far = plane((-2, 40, 0), (4, 0, 0), (0, 0, 2))
+    depth = [build_mesh(joined(house(), far), MeshOptions(extent=extent), tmp_path / extent, Reporter(),
+                        Looks(30.0, sure=False)).vertices[:, 1].max() for extent in ("site", "everything")]
+    assert depth[0] < 3 and depth[1] > 39
