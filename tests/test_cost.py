@@ -157,7 +157,7 @@ def test_the_depth_stage_keeps_to_its_budget(tmp_path: Path) -> None:
 
 def test_a_large_site_needs_no_more_memory_than_its_mesh_of_a_million_faces(tmp_path: Path) -> None:
     options = Options(photos=None, workspace=tmp_path, quality="standard", memory_gib=4.0, until="texture")
-    memory = [predict(site(count, 1600, 1200), options)["memory_gib"] for count in (10, 240, 2000)]
+    memory = [predict(site(count, 1600, 1200), options)["memory_gib"] for count in (4, 240, 2000)]
     assert memory[0] < memory[1] == memory[2] < 8
     assert predict(site(240, 1600, 1200), replace(options, quality="preview"))["memory_gib"] < 2
 

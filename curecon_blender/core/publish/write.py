@@ -127,7 +127,7 @@ def _levels(source: Source, folder: Path, reporter: Reporter) -> list[Level]:
                            path=source.mesh)
     if not len(pages):
         mesh = Mesh(vertices=mesh.vertices, faces=mesh.faces, colours=mesh.colours, distance=mesh.distance,
-                    views=mesh.views, filled=mesh.filled, unseen=mesh.unseen)
+                    views=mesh.views, filled=mesh.filled, weak=mesh.weak, unseen=mesh.unseen)
     levels = coarser(mesh, source.mesh.parent, folder, reporter)
     return [*levels, Level(mesh, pages, texel(mesh, pages))]
 
