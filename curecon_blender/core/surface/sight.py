@@ -20,6 +20,7 @@ from numba import njit
 
 from ..base import images
 from ..base.errors import PhotoError, WorkspaceError
+from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.records import Component, View
 from ..cloud.normals import normals
@@ -72,7 +73,7 @@ class Sight:
                 depth, confidence = read_depth(self._workspace, view)
                 picture = images.read_rgb(self._workspace / view.image)
             except (WorkspaceError, PhotoError) as error:
-                self._reporter.warning(f"{error} It tells nothing of what is empty.", view.name)
+                self._reporter.warning(Text("{} It tells nothing of what is empty.", error.message), view.name)
                 continue
             depth = np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
             confidence = np.nan_to_num(confidence.astype(np.float32))
