@@ -56,7 +56,7 @@ class CURECON_PT_result(Panel, bpy.types.Panel):
             layout.operator("curecon.frame_cloud", icon="VIEWZOOM")
             layout.operator("curecon.accuracy_report", icon="TEXT")
             layout.operator("curecon.export_deliverables", icon="EXPORT")
-            self._draw_publish(context, result)
+            _draw_publish(layout, context, result)
             layout.operator("curecon.import_comparison", icon="IMPORT")
         if comparison.is_compared(context.active_object):
             layout.operator("curecon.colour_comparison", icon="COLOR")
@@ -65,18 +65,19 @@ class CURECON_PT_result(Panel, bpy.types.Panel):
             row.prop(properties, "show_cloud", toggle=True, icon="POINTCLOUD_DATA")
         row.prop(properties, "show_cameras", toggle=True, icon="CAMERA_DATA")
 
-    def _draw_publish(self, context: bpy.types.Context, result: bpy.types.PropertyGroup) -> None:
-        column = self.layout.column(align=True)
-        row = column.row(align=True)
-        row.operator("curecon.publish", icon="WORLD")
-        if result.published:
-            row.operator("curecon.view_pages", text="", icon="URL")
-        column.operator("curecon.add_note", icon="TEXT")
-        note = context.active_object
-        if is_note(note):
-            column = self.layout.column(align=True)
-            column.prop(note, "name", text="Title")
-            column.prop(note, f'["{TEXT_KEY}"]', text="Text")
+
+def _draw_publish(layout: bpy.types.UILayout, context: bpy.types.Context, result: bpy.types.PropertyGroup) -> None:
+    column = layout.column(align=True)
+    row = column.row(align=True)
+    row.operator("curecon.publish", icon="WORLD")
+    if result.published:
+        row.operator("curecon.view_pages", text="", icon="URL")
+    column.operator("curecon.add_note", icon="TEXT")
+    note = context.active_object
+    if is_note(note):
+        column = layout.column(align=True)
+        column.prop(note, "name", text="Title")
+        column.prop(note, f'["{TEXT_KEY}"]', text="Text")
 
 
 CLASSES = (CURECON_PT_result,)

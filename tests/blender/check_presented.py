@@ -47,7 +47,8 @@ class Layout:
 
 def said_by(panel: type[bpy.types.Panel]) -> str:
     context = SimpleNamespace(
-        scene=bpy.context.scene, preferences=bpy.context.preferences, region=SimpleNamespace(width=10_000))
+        scene=bpy.context.scene, preferences=bpy.context.preferences, region=SimpleNamespace(width=10_000),
+        active_object=None)
     layout = Layout()
     panel.draw(SimpleNamespace(  # type: ignore[arg-type]
         layout=layout, draw_part=lambda *given: panel.draw_part(SimpleNamespace(layout=layout), *given)), context)
