@@ -106,6 +106,11 @@ def test_a_killed_workers_photos_are_done_again_bit_for_bit(
         assert np.array_equal(made[name][0], alone[name][0]) and np.array_equal(made[name][1], alone[name][1]), name
 
 
+def finished(workspace: Path) -> dict[str, int]:
+    """The depth maps that are there, and when each was written."""
+    return {path.name: path.stat().st_mtime_ns for path in (workspace / "depth").glob("*.npz")}
+
+
 def test_finished_photos_are_left_alone_and_cancelling_keeps_them(
     cluster: distributed.LocalCluster, scene: tuple[Component, Path]
 ) -> None:
@@ -116,13 +121,15 @@ def test_finished_photos_are_left_alone_and_cancelling_keeps_them(
     with pytest.raises(Cancelled):
         depth_cluster.spread_depths(
             [component], workspace, options(workspace, cluster.scheduler_address), KEY, reporter)
-    time.sleep(2)  # those at work are finished
-    kept = {path.name: path.stat().st_mtime_ns for path in (workspace / "depth").glob("*.npz")}
+    kept, before = finished(workspace), None
+    while kept != before:  # those at work are finished
+        time.sleep(4)
+        kept, before = finished(workspace), kept
     assert 2 <= len(kept) < PHOTOS
     told: list[Progress] = []
     spread(scene, cluster.scheduler_address, told.append)
     assert told[0].done == len(kept) and told[-1].done == PHOTOS
-    now = {path.name: path.stat().st_mtime_ns for path in (workspace / "depth").glob("*.npz")}
+    now = finished(workspace)
     assert len(now) == PHOTOS and {name: now[name] for name in kept} == kept
 
 
