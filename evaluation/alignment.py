@@ -4,34 +4,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from curecon_blender.core.base.errors import SparseError, WorkspaceError
+from curecon_blender.core.compare.geometry import Similarity, fitted
 from curecon_blender.core.views import record as views_record
 
 
-@dataclass(frozen=True)
-class Sim3:
-    """x -> scale rotation x + translation."""
-
-    scale: float
-    rotation: np.ndarray  # (3,3)
-    translation: np.ndarray  # (3,)
-
-    @classmethod
-    def identity(cls) -> Sim3:
-        return cls(1.0, np.eye(3), np.zeros(3))
-
-    def apply(self, points: np.ndarray) -> np.ndarray:
-        """Points (n,3) moved, float64."""
-        moved: np.ndarray = self.scale * np.asarray(points, np.float64) @ self.rotation.T + self.translation
-        return moved
-
-
-def align(source: np.ndarray, target: np.ndarray) -> Sim3:
+def align(source: np.ndarray, target: np.ndarray) -> Similarity:
     """The similarity that brings `source` (n,3) nearest to `target` (n,3), n >= 3, in the least squares sense
     (Umeyama 1991)."""
     if len(source) < 3:
@@ -39,16 +21,10 @@ def align(source: np.ndarray, target: np.ndarray) -> Sim3:
             f"Only {len(source)} cameras are known on both sides; an alignment needs three.",
             remedy="Check that both sides name their photos alike.",
         )
-    source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
-    source, target = source - source_mean, target - target_mean
-    u, singular, vt = np.linalg.svd(target.T @ source)
-    mirror = np.array([1, 1, np.sign(np.linalg.det(u @ vt))])
-    rotation = u @ np.diag(mirror) @ vt
-    scale = float((singular * mirror).sum() / (source**2).sum())
-    return Sim3(scale, rotation, target_mean - scale * rotation @ source_mean)
+    return fitted(source, target, scaled=True)
 
 
-def align_cameras(estimate: dict[str, np.ndarray], truth: dict[str, np.ndarray]) -> Sim3:
+def align_cameras(estimate: dict[str, np.ndarray], truth: dict[str, np.ndarray]) -> Similarity:
     """The similarity from the estimate's frame to the truth's, by the centres (3,) that both have under one name."""
     names = sorted(set(estimate) & set(truth))
     return align(np.array([estimate[n] for n in names]).reshape(-1, 3),

@@ -31,11 +31,12 @@ import numpy as np
 from curecon_blender.core.base.errors import CuReconError, WorkspaceError
 from curecon_blender.core.base.options import Options
 from curecon_blender.core.base.records import Component, GeoPosition, View
+from curecon_blender.core.compare.geometry import Similarity
 from curecon_blender.core.depth.maps import read_depth
 from curecon_blender.core.views import record as views_record
 
 from . import cloud_metrics, depth_metrics
-from .alignment import Sim3, align_cameras, read_centres
+from .alignment import align_cameras, read_centres
 from .cloud_metrics import CloudErrors
 from .depth_metrics import DepthErrors
 
@@ -87,7 +88,7 @@ def report(workspace: Path, site: Path, depth_folder: Path | None = None, radius
 
 
 def _camera_errors(
-    found: list[Component], truth: dict[str, np.ndarray], to_truth: Sim3, site: Path
+    found: list[Component], truth: dict[str, np.ndarray], to_truth: Similarity, site: Path
 ) -> CameraErrors:
     views = [view for view in found[0].views if Path(view.name).stem in truth]
     true = np.array([truth[Path(view.name).stem] for view in views])
@@ -155,7 +156,7 @@ def _at_photo(true: np.ndarray, view: View, camera: Any) -> np.ndarray:
     return found.reshape(view.height, view.width)
 
 
-def _cloud_errors(cloud: Path, to_truth: Sim3, site: Path, radius: float | None) -> CloudErrors:
+def _cloud_errors(cloud: Path, to_truth: Similarity, site: Path, radius: float | None) -> CloudErrors:
     path = site / "truth" / "cloud.npz"
     truth = cloud_metrics.read_points(path)
     if radius is None:

@@ -17,8 +17,7 @@ import pycolmap
 from scipy.spatial import cKDTree
 
 from curecon_blender.core.base.records import GeoPosition
-
-from .alignment import Sim3
+from curecon_blender.core.compare.geometry import Similarity
 
 NEAREST = 10  # true points that tell a surface
 EVEN = 0.004  # metres: root mean square distance of these from their plane
@@ -61,7 +60,7 @@ class TrueSite:
         """(N,3) of photos by name."""
         return np.array([self._images[name].projection_center() for name in names])
 
-    def points(self, model: pycolmap.Reconstruction, to_truth: Sim3) -> TruePoints:
+    def points(self, model: pycolmap.Reconstruction, to_truth: Similarity) -> TruePoints:
         """The true places of a model's points, which `to_truth` brings near them."""
         numbers = {point: p for p, point in enumerate(sorted(model.point3D_ids()))}
         found = []

@@ -23,7 +23,8 @@ from survey.sections import column
 # A person who agrees, rates every second result's items 5 and the others 2, and tells a few groups.
 # A browser without a window waits for ever for a download, so none begins.
 PERSON = """<script>
-HTMLAnchorElement.prototype.click = () => {};
+let offered = "";
+HTMLAnchorElement.prototype.click = function () { offered = this.download; };
 const shown = [...document.querySelectorAll("#consent [lang=en]")].map(one => one.textContent).join(" ");
 const early = document.getElementById("form").hidden && document.getElementById("begin").disabled;
 document.getElementById("agree").click();
@@ -37,7 +38,7 @@ for (const set of document.querySelectorAll("fieldset")) {
 document.querySelector("form button").click();
 const found = document.createElement("pre");
 found.id = "found";
-found.textContent = [early, asked, document.getElementById("row").value].join("\\n");
+found.textContent = [early, asked, offered, document.getElementById("row").value].join("\\n");
 document.body.append(found);
 </script></html>"""
 
@@ -68,9 +69,10 @@ def test_an_answer_given_in_a_browser_is_what_the_statistics_read(page: Path, tm
         capture_output=True, text=True, timeout=60, check=False)
     found = re.search(r'<pre id="found">(.*?)</pre>', ran.stdout, re.DOTALL)
     assert found, ran.stderr[-2000:]
-    early, asked, *rows = html.unescape(found[1]).split("\n")
+    early, asked, offered, *rows = html.unescape(found[1]).split("\n")
     assert early == "true", "the form was there before the consent"
     assert int(asked) == 2 * len(RATINGS) + 5, "what was left open was not asked for"
+    assert re.fullmatch(r"answer-[0-9a-f]{12}\.csv", offered), "the answer is not offered as a file"
     (tmp_path / "answer.csv").write_text("\n".join(rows), encoding="utf-8-sig")
     answers = read_answers([tmp_path / "answer.csv"])
     assert set(answers.results) == {"CU-Recon", 'B, "beta" </script>'} and not answers.remarks

@@ -92,17 +92,12 @@ What no photo measured stays empty"""
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         self.directory = str(self._own_folder(context))
-        self._browsing = True
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
+        return self.browse(context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         if not self.formats:
             self.report({"ERROR"}, "Choose at least one format.")
             return {"CANCELLED"}
-        if getattr(self, "_browsing", False) and not bpy.app.background:  # back from the file browser
-            self._browsing = False
-            return WorkerOperator.invoke(self, context, None)
         return WorkerOperator.execute(self, context)
 
     def _own_folder(self, context: bpy.types.Context) -> Path:

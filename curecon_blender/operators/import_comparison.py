@@ -37,15 +37,7 @@ class CURECON_OT_import_comparison(ModalOperator, bpy.types.Operator, ImportHelp
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if self.filepath:  # a caller's own
             return ModalOperator.invoke(self, context, event)
-        self._browsing = True
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        if getattr(self, "_browsing", False) and not bpy.app.background:  # back from the file browser
-            self._browsing = False
-            return ModalOperator.invoke(self, context, None)
-        return ModalOperator.execute(self, context)
+        return self.browse(context)
 
     def work(self, context: bpy.types.Context) -> Work:
         session_uid = context.scene.session_uid

@@ -114,15 +114,7 @@ class CURECON_OT_import_workspace(ModalOperator, bpy.types.Operator):
         if self.directory:  # a caller's own
             return ModalOperator.invoke(self, context, event)
         self.directory = context.scene.curecon.workspace
-        self._browsing = True
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        if getattr(self, "_browsing", False) and not bpy.app.background:  # back from the file browser
-            self._browsing = False
-            return ModalOperator.invoke(self, context, None)
-        return ModalOperator.execute(self, context)
+        return self.browse(context)
 
     def work(self, context: bpy.types.Context) -> Work:
         return bring_in(context, context.scene, paths.absolute(self.directory))

@@ -82,23 +82,18 @@ You choose what they tell of where it is"""
         box.label(text="What the public will see", icon="HIDE_OFF")
         for sentence, figure in self._shown(context).sentences:
             for line in iface_(sentence).format(figure).split(": "):
-                _wrapped(box, context, line)
+                _wrapped(box, line)
         if count := sum(map(notes.is_note, context.scene.objects)):
             box.label(text=iface_("Notes: {}").format(count), translate=False)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         self.title = self.title or paths.site_name(context.scene).replace("_", " ")
-        self._browsing = True
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
+        return self.browse(context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         if not self.directory:
             self.report({"ERROR"}, "Choose a folder for the pages.")
             return {"CANCELLED"}
-        if getattr(self, "_browsing", False) and not bpy.app.background:  # back from the file browser
-            self._browsing = False
-            return WorkerOperator.invoke(self, context, None)
         return WorkerOperator.execute(self, context)
 
     def _shown(self, context: bpy.types.Context) -> privacy.Shown:
@@ -210,7 +205,7 @@ class CURECON_OT_add_note(PickingOperator, bpy.types.Operator):
         return rpt_("{} will be on the published pages.").format(item.name)
 
 
-def _wrapped(layout: bpy.types.UILayout, context: bpy.types.Context, text: str) -> None:
+def _wrapped(layout: bpy.types.UILayout, text: str) -> None:
     """A text in lines for the file browser's side, which is some 30 letters wide."""
     width, lines = 34, [""]
     for word in text.split(" ") if " " in text else [text[k : k + width // 2] for k in range(0, len(text), width // 2)]:

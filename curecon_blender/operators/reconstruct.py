@@ -74,15 +74,7 @@ class CURECON_OT_import_model(WorkerOperator, bpy.types.Operator):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         self.photos = self.photos or context.scene.curecon.photos
-        self._browsing = True
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        if getattr(self, "_browsing", False) and not bpy.app.background:  # back from the file browser
-            self._browsing = False
-            return WorkerOperator.invoke(self, context, None)
-        return WorkerOperator.execute(self, context)
+        return self.browse(context)
 
     def workspace(self, context: bpy.types.Context) -> Path | None:
         return paths.workspace_folder(context, context.scene)

@@ -132,6 +132,7 @@ class ModalOperator:
     background Blender and when a script calls it.
 
     A subclass gives `work`. What it raises of CuReconError is reported with its remedy, and shown in the panel `panel`.
+    Its `invoke` may `browse` first: Blender calls `execute` once the user has chosen.
     """
 
     task = ""
@@ -142,19 +143,29 @@ class ModalOperator:
     poll_message_set: Callable[..., None]
     _timer: bpy.types.Timer | None = None
     _in_window = False
+    _browsing = False
     _slices: Work
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         return idle(cls)
 
+    def browse(self, context: bpy.types.Context) -> set[str]:
+        """Let the user choose a file or folder."""
+        self._browsing = True
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
     def execute(self, context: bpy.types.Context) -> set[str]:
+        if self._browsing and not bpy.app.background:  # back from the file browser
+            self._browsing = False
+            return ModalOperator.invoke(self, context, None)
         self._begin(context)
         while (ended := self._go_on(math.inf)) is None:
             time.sleep(POLL_SECONDS)
         return ended
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event | None) -> set[str]:
         if bpy.app.background or context.window is None:
             return self.execute(context)
         self._in_window = True

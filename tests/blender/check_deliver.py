@@ -5,7 +5,6 @@ libraries."""
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 
@@ -22,9 +21,7 @@ try:
     bpy.ops.wm.read_homefile(use_empty=True)
     assert not bpy.ops.curecon.export_deliverables.poll()
     workspace = FOLDER / "a \"quoted\" site"
-    workspace_scene.write(workspace)
-    (workspace / "workspace.json").write_text(json.dumps({"format": 1}), encoding="utf-8")
-    bpy.ops.curecon.import_workspace(directory=str(workspace))
+    workspace_scene.imported(workspace)
     bpy.context.scene.curecon.credit = "-- O'Neill \"& Sons\" <a@b>"
 
     assert bpy.ops.curecon.export_deliverables(formats={"laz", "dsm", "contours"}) == {"FINISHED"}

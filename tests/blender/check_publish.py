@@ -27,9 +27,7 @@ try:
     bpy.ops.wm.read_homefile(use_empty=True)
     assert not bpy.ops.curecon.publish.poll() and not bpy.ops.curecon.view_pages.poll()
     workspace = FOLDER / "a \"quoted\" site"
-    workspace_scene.write(workspace)
-    (workspace / "workspace.json").write_text(json.dumps({"format": 1}), encoding="utf-8")
-    bpy.ops.curecon.import_workspace(directory=str(workspace))
+    workspace_scene.imported(workspace)
 
     place = (1.0, 2.0, 0.5)
     assert bpy.ops.curecon.add_note(at=place, title="<i>Door</i>", text="Oak\n'1620'") == {"FINISHED"}

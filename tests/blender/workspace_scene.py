@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import bpy
@@ -84,3 +85,10 @@ def write(folder: Path, *, parts: int = 1, scale: str = "metres", placed: bool =
         with CloudWriter(folder / made[-1].cloud) as writer:
             writer.write(cloud())
     write_components(folder, made)
+
+
+def imported(folder: Path) -> None:
+    """A finished workspace, written and brought into the scene."""
+    write(folder)
+    (folder / "workspace.json").write_text(json.dumps({"format": 1}), encoding="utf-8")
+    bpy.ops.curecon.import_workspace(directory=str(folder))

@@ -9,11 +9,11 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ..base.errors import WorkspaceError
 from ..base.files import disk_errors, write_json
 from ..base.language import Language, Text
 from ..base.messages import Reporter
 from ..base.records import Component, PhotoSet
+from ..views import record as views_record
 from .document import Section
 from .fonts import LATIN, Letters, letters_of
 from .maps import Lettering
@@ -42,13 +42,12 @@ def write_report(
     """Write the three files into the workspace; the paths by format. PDF and web page are in the `language`, with
     letters of `font`; the record is in English. Raises WorkspaceError where no part has a cloud, or a file is damaged,
     SparseError and PhotoError, and Cancelled."""
-    finished = [(component, standing) for component, standing in parts if (workspace / component.cloud).exists()]
-    if not finished:
-        raise WorkspaceError(Text("{} has no point cloud yet.", workspace), remedy="Run Reconstruct to the end first.",
-                             path=workspace)
+    standings = {component.index: standing for component, standing in parts}
+    finished = views_record.with_clouds(workspace, [component for component, _ in parts])
     placed = {view.name for component, _ in parts for view in component.views}
     provenance = trace(photo_set, placed, workspace, about, rest.weights, rest.settings, rest.minutes, reporter)
-    sites = [measure(component, photo_set.photos, workspace, standing, reporter) for component, standing in finished]
+    sites = [measure(component, photo_set.photos, workspace, standings[component.index], reporter)
+             for component in finished]
     lettering = Lettering(_letters(sites, provenance, language, font, reporter), language.said)
     sections = [section for site in sites for section in _told(site, lettering, several=len(sites) > 1)]
     sections.append(provenance_section(provenance))

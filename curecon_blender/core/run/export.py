@@ -23,7 +23,7 @@ from ..site.footprint import rectangle_direction, wall_direction
 from ..surface.mesh import Mesh, mesh_file, textured_folder
 from ..surface.triangles import face_normals
 from ..views import record as views_record
-from .workspace import Workspace
+from .workspace import Workspace, require_workspace
 
 ABOUT = "deliverables.txt"
 _TITLE = "CU-Recon Deliverables, frame: "
@@ -35,11 +35,7 @@ def export(
 ) -> dict[str, Any]:
     """Write a workspace's deliverables into `to`, or below the workspace; what cannot be made of it is told as left
     out. Raises WorkspaceError, Cancelled, and what hinders the first one where none can be made."""
-    if not (folder / "workspace.json").is_file():
-        raise WorkspaceError(
-            Text("{} is not a workspace of CU-Recon.", folder), path=folder,
-            remedy="Choose the folder that Reconstruct made, or run Reconstruct first.",
-        )
+    require_workspace(folder)
     formats = tuple(dict.fromkeys(formats))
     reporter.begin(dict.fromkeys(formats, 1.0))
     made: list[dict[str, Any]] = []
@@ -48,10 +44,7 @@ def export(
     words: list[str] = []
     with Workspace(folder) as workspace:
         root = workspace.root
-        components = [one for one in views_record.read(root) if (root / one.cloud).exists()]
-        if not components:
-            raise WorkspaceError(Text("{} has no point cloud yet.", root), remedy="Run Reconstruct to the end first.",
-                                 path=root)
+        components = views_record.with_clouds(root, views_record.read(root))
         destination = _destination(root / DELIVERABLES / frame if to is None else to.absolute(), frame)
         for name in formats:
             reporter.stage(name)

@@ -26,7 +26,7 @@ from .peak_memory import PeakMemory
 from .settings import keep_settings
 from .stages import DETAIL_STAGES, STAGES, Job, Stage
 from .summary import summarise
-from .workspace import StageRecord, Workspace
+from .workspace import StageRecord, Workspace, require_workspace
 
 
 def reconstruct(options: Options, reporter: Reporter) -> dict[str, Any]:
@@ -40,11 +40,7 @@ def reconstruct(options: Options, reporter: Reporter) -> dict[str, Any]:
         stages += [DETAIL_STAGES[level] for level in options.detail]
     if options.photos is None:
         stages = [stage for stage in stages if stage.name in SURFACE_STAGES or stage.last]
-        if not (options.workspace / "workspace.json").is_file():
-            raise WorkspaceError(
-                Text("{} is not a workspace of CU-Recon.", options.workspace), path=options.workspace,
-                remedy="Choose the folder that Reconstruct made, or run Reconstruct first.",
-            )
+        require_workspace(options.workspace)
     reporter.begin({stage.name: stage.weight for stage in stages})
     if options.scheduler and STAGES["depth"] in stages:  # a wrong address is told now, not when the cameras are found
         with connect(options.scheduler):

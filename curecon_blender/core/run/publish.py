@@ -22,7 +22,7 @@ from ..publish.write import STAGES, Source, write_site
 from ..site import adjustment
 from ..surface.mesh import mesh_file, textured_folder
 from ..views import record as views_record
-from .workspace import Workspace, folder_bytes, try_lock
+from .workspace import Workspace, folder_bytes, require_workspace, try_lock
 
 _LOCK = ".publish.lock"
 
@@ -30,11 +30,7 @@ _LOCK = ".publish.lock"
 def publish(workspace: Path, folder: Path, about: About, part: int, reporter: Reporter) -> dict[str, Any]:
     """Write part `part` (from 1) of a workspace as a site of the published folder. What cannot be shown of it is told
     as a warning. Raises WorkspaceError, PublishError, SurfaceError, Cancelled."""
-    if not (workspace / "workspace.json").is_file():
-        raise WorkspaceError(
-            Text("{} is not a workspace of CU-Recon.", workspace), path=workspace,
-            remedy="Choose the folder that Reconstruct made, or run Reconstruct first.",
-        )
+    require_workspace(workspace)
     if not about.title.strip():
         raise PublishError("The site has no name.", remedy="Give it the name that it is to be found by (--title).")
     reporter.begin(STAGES)
@@ -72,10 +68,7 @@ def _destination(folder: Path, workspace: Path) -> Iterator[Path]:
 
 
 def _source(root: Path, part: int, reporter: Reporter) -> Source:
-    components = [one for one in views_record.read(root) if (root / one.cloud).exists()]
-    if not components:
-        raise WorkspaceError(Text("{} has no point cloud yet.", root),
-                             remedy="Run Reconstruct to the end first.", path=root)
+    components = views_record.with_clouds(root, views_record.read(root))
     if not 1 <= part <= len(components):
         raise PublishError(Text("The site has no part {}; it has {}.", part, len(components)),
                            remedy=Text("Choose a part from 1 to {} (--part).", len(components)))

@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from ..base import language
-from ..base.errors import WorkspaceError
-from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.options import STAGES
 from ..base.records import Component
@@ -21,17 +19,13 @@ from ..report.write import Rest, write_report
 from ..site import adjustment
 from ..views import record as views_record
 from .settings import read_settings
-from .workspace import Workspace
+from .workspace import Workspace, require_workspace
 
 
 def report(folder: Path, about: About, language_name: str, font: Path | None, reporter: Reporter) -> dict[str, Any]:
     """Write the report of a workspace whose cloud is finished, in a language by Blender's name of it; its files by
     format, as `report`. Raises WorkspaceError, SparseError, PhotoError, Cancelled."""
-    if not (folder / "workspace.json").is_file():
-        raise WorkspaceError(
-            Text("{} is not a workspace of CU-Recon.", folder), path=folder,
-            remedy="Choose the folder that Reconstruct made, or run Reconstruct first.",
-        )
+    require_workspace(folder)
     reporter.begin({"report": 1.0})
     with Workspace(folder) as workspace:
         reporter.stage("report")

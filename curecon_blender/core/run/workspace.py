@@ -46,6 +46,15 @@ class StageRecord:
     files: tuple[Annotated[str, INSIDE], ...] = ()
 
 
+def require_workspace(folder: Path) -> None:
+    """Refuse a folder in which there is nothing to go on from. Raises WorkspaceError."""
+    if not (folder / "workspace.json").is_file():
+        raise WorkspaceError(
+            Text("{} is not a workspace of CU-Recon.", folder), path=folder,
+            remedy="Choose the folder that Reconstruct made, or run Reconstruct first.",
+        )
+
+
 class Workspace:
     """An open workspace folder, locked against a second job for as long as the `with` block runs.
 

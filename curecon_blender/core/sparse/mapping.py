@@ -30,8 +30,7 @@ def map_photos(
     """The components that a mapper ("auto", "incremental" or "global") makes of the photos named, the largest first.
 
     Each photo is in one component, and none has fewer than SMALLEST. A photo with fewer than FEWEST_TIES is not in: it
-    may stand anywhere. `placed` is told how many photos more were
-    placed, where the mapper tells. Raises Cancelled.
+    may stand anywhere. `placed` is told how many photos more were placed, where the mapper tells. Raises Cancelled.
     """
     if mapper == "auto":
         mapper = "incremental" if len(names) <= INCREMENTAL else "global"

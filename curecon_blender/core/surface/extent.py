@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..base.records import View
+from .cells import cell_numbers
 
 FAR = 3.0  # times the cloud's median ground sampling distance: what no photo shows finer is background
 NEAR = 1.5  # times the same: what some photo shows finer is the subject and what lies about it
@@ -25,9 +26,8 @@ def within(points: np.ndarray, views: Sequence[View], spacing: float, times: flo
     bool: all where there are no views."""
     if not views:
         return np.ones(len(points), bool)
-    places = np.floor((points - points.min(axis=0)) / (_CELL * spacing)).astype(np.int64)
-    key = (places[:, 0] << 42) + (places[:, 1] << 21) + places[:, 2]
-    _, first, cell, count = np.unique(key, return_index=True, return_inverse=True, return_counts=True)
+    number = cell_numbers(points, points.min(axis=0), _CELL * spacing)
+    _, first, cell, count = np.unique(number, return_index=True, return_inverse=True, return_counts=True)
     finest = _sampling_distance(points[first], views)
     order = np.argsort(finest)
     median = finest[order][np.searchsorted(np.cumsum(count[order]), len(points) / 2)]

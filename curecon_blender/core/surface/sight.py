@@ -27,6 +27,7 @@ from ..cloud.normals import normals
 from ..cloud.ply import Cloud
 from ..cloud.sky import sky_mask
 from ..depth.maps import depth_path, read_depth
+from .cells import STEPS, cell_numbers
 
 SURE = 0.5  # confidence from which on a photo says what is empty
 _ALONE = 0.7  # confidence from which on one photo alone says what is there
@@ -151,9 +152,7 @@ def _lifted(glance: Glance, index: np.ndarray, spacing: float) -> tuple[np.ndarr
 def _one_a_cell(points: np.ndarray, confidence: np.ndarray, side: float) -> np.ndarray:
     """Indices of the surest point in each cube of a grid."""
     surest = np.argsort(-confidence, kind="stable")
-    places = np.floor((points - points.min(axis=0)) / side).astype(np.int64)
-    _, rows, layers = places.max(axis=0) + 1
-    first = np.unique((places @ np.array([rows * layers, layers, 1]))[surest], return_index=True)[1]
+    first = np.unique(cell_numbers(points, points.min(axis=0), side)[surest], return_index=True)[1]
     kept: np.ndarray = np.sort(surest[first])
     return kept
 
@@ -161,11 +160,10 @@ def _one_a_cell(points: np.ndarray, confidence: np.ndarray, side: float) -> np.n
 def _beside(places: np.ndarray, points: np.ndarray, side: float) -> np.ndarray:
     """Which of places (n,3) have one of the points in the 3x3x3 cubes about theirs, (n,) bool."""
     low = np.minimum(places.min(axis=0), points.min(axis=0)) - 2 * side
-    steps = np.array([1 << 42, 1 << 21, 1])
-    held = np.unique(np.floor((points - low) / side).astype(np.int64) @ steps)
-    key = np.floor((places - low) / side).astype(np.int64) @ steps
+    held = np.unique(cell_numbers(points, low, side))
+    key = cell_numbers(places, low, side)
     found = np.zeros(len(places), bool)
-    for offset in np.stack(np.meshgrid(*[[-1, 0, 1]] * 3), axis=-1).reshape(-1, 3) @ steps:
+    for offset in np.stack(np.meshgrid(*[[-1, 0, 1]] * 3), axis=-1).reshape(-1, 3) @ STEPS:
         at = np.minimum(np.searchsorted(held, key + offset), len(held) - 1)
         found |= held[at] == key + offset
     return found
@@ -177,28 +175,29 @@ def _camera(view: View) -> tuple[np.ndarray, np.ndarray]:
 
 
 @_compiled
-def _count_through(points, projection, size, depth, factor, count):  # type: ignore[no-untyped-def]
-    for i in range(len(points)):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        w = projection[2, 0] * x + projection[2, 1] * y + projection[2, 2] * z + projection[2, 3]
-        if w <= 0:
-            continue
+def _pixel(point, projection, size):  # type: ignore[no-untyped-def]
+    """The row and column (-1 outside of the picture) that a point is seen at, and its depth."""
+    x, y, z = point[0], point[1], point[2]
+    w = projection[2, 0] * x + projection[2, 1] * y + projection[2, 2] * z + projection[2, 3]
+    if w > 0:
         u = (projection[0, 0] * x + projection[0, 1] * y + projection[0, 2] * z + projection[0, 3]) / w
         v = (projection[1, 0] * x + projection[1, 1] * y + projection[1, 2] * z + projection[1, 3]) / w
-        if 0 <= u < size[0] and 0 <= v < size[1] and depth[int(v), int(u)] > w * factor:
+        if 0 <= u < size[0] and 0 <= v < size[1]:
+            return int(v), int(u), w
+    return -1, -1, w
+
+
+@_compiled
+def _count_through(points, projection, size, depth, factor, count):  # type: ignore[no-untyped-def]
+    for i in range(len(points)):
+        row, column, w = _pixel(points[i], projection, size)
+        if row >= 0 and depth[row, column] > w * factor:
             count[i] = min(count[i] + 1, 255)
 
 
 @_compiled
 def _explain(points, projection, size, depth, share, explained):  # type: ignore[no-untyped-def]
     for i in range(len(points)):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        w = projection[2, 0] * x + projection[2, 1] * y + projection[2, 2] * z + projection[2, 3]
-        if w <= 0:
-            continue
-        u = (projection[0, 0] * x + projection[0, 1] * y + projection[0, 2] * z + projection[0, 3]) / w
-        v = (projection[1, 0] * x + projection[1, 1] * y + projection[1, 2] * z + projection[1, 3]) / w
-        if 0 <= u < size[0] and 0 <= v < size[1]:
-            there = depth[int(v), int(u)]
-            if abs(there - w) < share * w:
-                explained[int(v), int(u)] = 1
+        row, column, w = _pixel(points[i], projection, size)
+        if row >= 0 and abs(depth[row, column] - w) < share * w:
+            explained[row, column] = 1

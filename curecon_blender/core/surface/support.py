@@ -32,20 +32,19 @@ def usable_points(cloud: Cloud, reporter: Reporter) -> Cloud:
     oriented = np.isfinite(length) & (length > 0)
     usable = finite & oriented
     if usable.sum() < LEAST_POINTS:
-        again = "Run Reconstruct again"
         if not len(cloud):
             raise MeshError("The cloud is empty: there is nothing to make a surface of.",
-                            remedy=Text("{}, with photos that overlap more.", Text(again)))
+                            remedy="Run Reconstruct again, with photos that overlap more.")
         if finite.sum() < min(LEAST_POINTS, len(cloud)):
             raise MeshError(Text("Only {} of the cloud's {} points have finite coordinates.", finite.sum(), len(cloud)),
-                            remedy=Text("{}: the cloud's file is damaged.", Text(again)))
+                            remedy="Run Reconstruct again: the cloud's file is damaged.")
         if len(cloud) >= LEAST_POINTS:
             raise MeshError(Text("Only {} of the cloud's {} points have normals, which tell the surface's inside "
                                  "from its outside.", usable.sum(), len(cloud)),
-                            remedy=Text("{}, or compute normals in the program that the cloud comes from.",
-                                        Text(again)))
+                            remedy="Run Reconstruct again, or compute normals in the program that the cloud comes "
+                            "from.")
         raise MeshError(Text("The cloud has {} points; a surface needs at least {}.", len(cloud), LEAST_POINTS),
-                        remedy=Text("{} with a higher quality, or with more photos.", Text(again)))
+                        remedy="Run Reconstruct again with a higher quality, or with more photos.")
     if not usable.all():
         reporter.warning(Text("{} of {} points have no finite position or no normal: left out.", (~usable).sum(),
                               len(cloud)))

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -55,6 +56,15 @@ def read(workspace: Path) -> list[Component]:
             Text("{} is damaged ({}).", path, Text(str(error))),
             remedy="Delete that file and run Reconstruct again.", path=path
         ) from error
+
+
+def with_clouds(workspace: Path, components: Iterable[Component]) -> list[Component]:
+    """Those of the components whose cloud is there. Raises WorkspaceError where there is none."""
+    found = [component for component in components if (workspace / component.cloud).exists()]
+    if not found:
+        raise WorkspaceError(Text("{} has no point cloud yet.", workspace), remedy="Run Reconstruct to the end first.",
+                             path=workspace)
+    return found
 
 
 def _without_foreign_shares(component: Component, workspace: Path) -> Component:
