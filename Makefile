@@ -2,6 +2,7 @@
 # make demo PHOTOS=folder   the same for your own photos
 # make test                 lint, types and tests (with Blender 4.5, and 5.2 where Python 3.13 is there)
 # make zip                  the Blender extension without its libraries in dist/
+# make atlas                the public map's server on this computer, with the sample site in it (docs/atlas.md)
 # make packages             self-contained zips and their extension repository in dist/repository (wheels/README.md)
 
 PYTHON ?= python3
@@ -14,11 +15,11 @@ PYTHON313 ?= $(shell for p in python3.13 $$HOME/.pyenv/versions/3.13*/bin/python
 VENV = .venv/bin/python
 export PYTHONPATH := $(CURDIR)
 
-.PHONY: demo test zip packages environment
+.PHONY: demo test zip packages environment atlas
 
 environment: .venv/.ready
 
-.venv/.ready: curecon_blender/requirements.txt requirements-dev.txt
+.venv/.ready: curecon_blender/requirements.txt requirements-dev.txt atlas/requirements.txt
 	$(PYTHON) -c "import sys; sys.exit(sys.version_info[:2] != (3, 11) and 'Python 3.11 is needed: make PYTHON=python3.11')"
 	$(PYTHON) -m venv .venv
 	$(VENV) -m pip install --quiet --disable-pip-version-check -r requirements-dev.txt
@@ -33,9 +34,24 @@ demo: .venv/.ready
 	$(VENV) -m curecon_blender.core reconstruct "$(PHOTOS)" --workspace "$(OUT)/workspace" --quality $(QUALITY)
 	$(VENV) scripts/demo_scene.py "$(OUT)/workspace" "$(OUT)/$(NAME).blend" "$(OUT)/$(NAME).png"
 
+# SITE=folder puts that published folder in it instead of the sample site, which takes minutes to be made.
+SITE ?= demo/published
+atlas: .venv-atlas/.ready $(SITE)/index.html
+	.venv-atlas/bin/python -m atlas demo demo/atlas/atlas.toml "$(SITE)"
+
+.venv-atlas/.ready: atlas/requirements.txt
+	$(PYTHON) -m venv .venv-atlas
+	.venv-atlas/bin/python -m pip install --quiet --disable-pip-version-check -r atlas/requirements.txt
+	touch $@
+
+demo/published/index.html: .venv/.ready
+	$(VENV) -m curecon_blender.core reconstruct samples/tulou/photos --workspace demo/tulou/workspace --quality preview
+	$(VENV) -m curecon_blender.core publish demo/tulou/workspace demo/published --location cell --title "Yude Lou" \
+		--place "Fujian, China"
+
 test: .venv/.ready $(if $(PYTHON313),.venv-blender52/.ready)
 	$(VENV) -m ruff check .
-	$(VENV) -m mypy curecon_blender/core curecon_blender/job.py training evaluation survey
+	$(VENV) -m mypy curecon_blender/core curecon_blender/job.py training evaluation survey atlas
 	$(VENV) -m pytest -n 2 --dist worksteal --durations=10
 
 zip: .venv/.ready

@@ -58,7 +58,8 @@ DETAILS = {  # beside the mesh itself: for phones, for the web, for presentation
 RUN, SURFACE, CHECK, REPORT = "reconstruct", "surface", "check", "report"
 CONTROL, EXPORT, PLAN, FRAMES = "control", "export", "plan", "frames"
 SELF_CHECK, LIBRARIES, PUBLISH = "self-check", "libraries", "publish"
-COMPARE = "compare"
+COMPARE, UPLOAD = "compare", "upload"
+TOKEN_VARIABLE = "CURECON_ATLAS_TOKEN"  # that an upload is made with: no other program sees it in a list
 
 # What `export` writes, and what its coordinates count from.
 POINT_FORMATS = ("laz", "copc", "e57")

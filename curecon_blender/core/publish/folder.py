@@ -118,7 +118,7 @@ def item(
     return found if shown.box is None else found | {"bbox": shown.box}
 
 
-def _listed(found: Any, name: str) -> dict[str, Any]:
+def listed(found: Any, name: str) -> dict[str, Any]:
     """An item as it stands in the collection: its files' addresses count from there. Raises ValueError, LookupError,
     TypeError or AttributeError for what is no item of a site of that name."""
     if found["type"] != "Feature" or found["id"] != name or not isinstance(found["properties"]["title"], str):
@@ -134,7 +134,7 @@ def write_catalogue(folder: Path, reporter: Reporter) -> int:
     items = []
     for path in sorted((folder / SITES).glob("*/item.json")):
         try:
-            items.append(_listed(read_json(path), path.parent.name))
+            items.append(listed(read_json(path), path.parent.name))
         except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
             reporter.warning(Text("{} cannot be read ({}): that site is not in the catalogue. Publish it again.", path,
                                   Text(str(error))))

@@ -32,6 +32,8 @@ from ..base.options import (
     STAGES,
     SURFACE,
     SURFACE_STAGES,
+    TOKEN_VARIABLE,
+    UPLOAD,
     Argument,
     Options,
     declared,
@@ -53,7 +55,7 @@ EXIT_CODES = """exit codes:
  10  no mesh or no texture can be made     11  out of memory
  12  control points unusable          13  nothing of that format can be made of the site
  14  no flight can be planned         15  nothing can be published of the site, or not there
- 16  results that cannot be compared
+ 16  results that cannot be compared      17  the atlas does not answer, or does not take the site
 130  cancelled
 """
 
@@ -107,17 +109,21 @@ def parser() -> argparse.ArgumentParser:
     frames = command(FRAMES, "photos from the videos (MP4, MOV) in a folder, each into a folder beside it")
     frames.add_argument("photos", type=Path, help="folder with the videos")
     _plan(command(PLAN, "a flight for a building, before there are photos: page, DJI and Litchi missions, KML, GPX"))
-    libraries = command(LIBRARIES, "bring the worker's libraries, as a lock names them, into a folder for PYTHONPATH")
+    _libraries(command(LIBRARIES, "bring the worker's libraries, as a lock names them, into a folder for PYTHONPATH"))
+    _export_arguments(command(EXPORT, "the finished site in surveyors' formats"))
+    _publish(command(PUBLISH, "the finished site as a folder of web pages, with a map of all sites in it"),
+             command(UPLOAD, f"a published site to an atlas; the token for it stands in {TOKEN_VARIABLE}"))
+    _compare(command(COMPARE, "other programs' results beside ours: distances, a sheet, change between dates"))
+    command(SELF_CHECK, "reconstruct synthetic views, and say what this computer has")
+    return main
+
+
+def _libraries(libraries: argparse.ArgumentParser) -> None:
     libraries.add_argument("folder", type=Path)
     libraries.add_argument("--locks", type=Path, required=True, help="folder of lock files")
     libraries.add_argument("--index", nargs="+", default=[], metavar="ADDRESS",
                            help="package indexes in place of pypi.org and pytorch.org")
     libraries.add_argument("--processor", action="store_true", help="those for the processor, with an NVIDIA card too")
-    _export_arguments(command(EXPORT, "the finished site in surveyors' formats"))
-    _publish_arguments(command(PUBLISH, "the finished site as a folder of web pages, with a map of all sites in it"))
-    _compare(command(COMPARE, "other programs' results beside ours: distances, a sheet, change between dates"))
-    command(SELF_CHECK, "reconstruct synthetic views, and say what this computer has")
-    return main
 
 
 def _plan(plan: argparse.ArgumentParser) -> None:
@@ -210,7 +216,7 @@ def _export_arguments(export: argparse.ArgumentParser) -> None:
     export.add_argument("--credit", default="", help="written into each file")
 
 
-def _publish_arguments(publish: argparse.ArgumentParser) -> None:
+def _publish(publish: argparse.ArgumentParser, upload: argparse.ArgumentParser) -> None:
     publish.add_argument("workspace", type=Path)
     publish.add_argument("folder", type=Path, help="empty, or one that was published into: the site is added there")
     publish.add_argument("--location", choices=LOCATIONS, required=True,
@@ -225,6 +231,10 @@ def _publish_arguments(publish: argparse.ArgumentParser) -> None:
                          help="notes on the site: JSON, a list of title, text, place and eye in the site frame")
     publish.add_argument("--part", type=int, default=1, metavar="NUMBER",
                          help="which part, of a site whose parts do not connect (default: %(default)s)")
+
+    upload.add_argument("folder", type=Path, help="that was published into")
+    upload.add_argument("--to", required=True, metavar="ADDRESS", help="of the atlas")
+    upload.add_argument("--site", default="", metavar="NAME", help="its folder's name, where there are several sites")
 
 
 def about_of(given: argparse.Namespace) -> About:

@@ -25,7 +25,7 @@ from ..base import messages
 from ..base.errors import CuReconError, OutOfMemory, SetupError, ran_out_of_memory
 from ..base.language import Text
 from ..base.messages import Message, Reporter
-from ..base.options import COMPARE, CONTROL, EXPORT, FRAMES, LIBRARIES, PLAN, PUBLISH
+from ..base.options import COMPARE, CONTROL, EXPORT, FRAMES, LIBRARIES, PLAN, PUBLISH, TOKEN_VARIABLE, UPLOAD
 from .command_line import about_of, choices_of, options_of, parser
 
 NEEDED = ("numpy", "PIL", "pillow_heif", "psutil", "cv2", "safetensors", "scipy", "torch", "pycolmap", "xatlas",
@@ -130,6 +130,10 @@ def _run(options: argparse.Namespace, reporter: Reporter) -> dict[str, object]:
         from .publish import publish
 
         return publish(options.workspace, options.folder, about_of(options), options.part, reporter)
+    if options.command == UPLOAD:
+        from ..publish.upload import upload
+
+        return upload(options.folder, options.site, options.to, os.environ.get(TOKEN_VARIABLE, ""), reporter)
     return pipeline.reconstruct(options_of(options), reporter)
 
 
@@ -245,6 +249,8 @@ def _in_words(summary: dict[str, object]) -> str:
         return "\n".join([*summary["words"], *(f"{one['file']}: {one['says']}" for one in made)])  # type: ignore[misc]
     if "published" in summary:
         return f"{summary['site']}\nServe {summary['published']} with any web server."
+    if "uploaded" in summary:
+        return f"The site is at {summary['uploaded']}: a moderator there decides on it."
     if "points" in summary:
         clouds = summary["paths"]["clouds"] if isinstance(summary["paths"], dict) else []
         where = f"\n{', '.join(clouds)}" if clouds else ""

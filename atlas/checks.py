@@ -1,0 +1,95 @@
+# SPDX-FileCopyrightText: 2026 CU-Recon authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What an upload may hold: first its list of files, then each of them."""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from curecon_blender.core.base.options import EXACT
+from curecon_blender.core.base.reading import Within, build
+
+from . import pictures, records, tiles
+from .configuration import Limits
+from .problems import Problem, refused
+
+_MOST_RECORD = 1 << 20
+_SHA256 = re.compile(r"[0-9a-f]{64}")
+# What a site's folder may hold, and the most bytes of each. Pages are the atlas's own; a PDF nobody can check.
+_KINDS = (
+    (re.compile(r"site\.json"), _MOST_RECORD), (re.compile(r"thumbnail\.jpg"), 1 << 20),
+    (re.compile(r"pictures/([1-9]|[1-3]\d|40)\.jpg"), pictures.MOST_PICTURE),
+    (re.compile(r"(surface|cloud)/tileset\.json"), tiles.MOST_TILESET),
+    (re.compile(r"surface/earth\.json"), _MOST_RECORD),
+    (re.compile(r"(surface|cloud)/(0|[1-9]\d{0,5})\.glb"), tiles.MOST_TILE),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class File:
+    path: str
+    size: Annotated[int, Within(1, tiles.MOST_TILE)]
+    sha256: str
+
+
+def manifest(value: Any, limits: Limits) -> tuple[File, ...]:
+    """The files that somebody wants to send, in the order of their paths. Raises Problem."""
+    if not isinstance(value, list) or len(value) > limits.files:
+        raise Problem(413, "too_large", f"An upload has {limits.files} files at most.")
+    try:
+        found: tuple[File, ...] = build(tuple[File, ...], value)
+    except (ValueError, RecursionError) as error:
+        raise refused(f"The list of files: {error}.") from error
+    for file in found:
+        most = next((most for kind, most in _KINDS if kind.fullmatch(file.path)), None)
+        if most is None:
+            raise refused(f"{file.path[:80]!r} is no file of a published site.")
+        if file.size > most:
+            raise Problem(413, "too_large", f"{file.path} has {file.size} bytes; {most} are the most.")
+        if not _SHA256.fullmatch(file.sha256):
+            raise refused(f"{file.path}: its SHA-256 is none.")
+    paths = [file.path for file in found]
+    if len(set(paths)) != len(paths):
+        raise refused("The list names a file twice.")
+    if not {"site.json", "thumbnail.jpg"} <= set(paths):
+        raise refused("site.json or thumbnail.jpg is missing: choose the folder that Publish Web Pages wrote.")
+    if sum(file.size for file in found) > limits.upload:
+        raise Problem(413, "too_large", f"An upload has {limits.upload >> 20} MiB at most.")
+    return tuple(sorted(found, key=lambda file: file.path))
+
+
+def check(files: tuple[File, ...], get: Callable[[File], bytes]) -> tuple[records.Site, list[str]]:
+    """What the site says of itself, and what a moderator is to look at. `get` brings a file's bytes, whose size and
+    SHA-256 are as listed. Raises Problem."""
+    by_path = {file.path: file for file in files}
+    site, doubts = records.site(get(by_path["site.json"]))
+    exact = site.location == EXACT
+    expected = {"site.json", "thumbnail.jpg", *site.pictures}
+    for kind in ("surface", "cloud"):
+        own = {path for path in by_path if path.startswith(f"{kind}/")}
+        if not getattr(site, kind):
+            continue
+        expected |= own
+        if f"{kind}/tileset.json" not in own:
+            raise refused(f"{kind}/tileset.json is missing.")
+        if f"{kind}/earth.json" in own:
+            if not exact:
+                raise refused(f"{kind}/earth.json tells the place, which this site does not show.")
+            tiles.earth(get(by_path[f"{kind}/earth.json"]))
+        names = {path.removeprefix(f"{kind}/") for path in own if path.endswith(".glb")}
+        tiles.tileset(get(by_path[f"{kind}/tileset.json"]), names)
+        for name in sorted(names):
+            tiles.tile(f"{kind}/{name}", get(by_path[f"{kind}/{name}"]), site.said.copyright)
+    if expected != set(by_path):
+        wrong = min(expected ^ set(by_path))
+        raise refused(f"{wrong} is {'missing' if wrong in expected else 'a file that the site does not name'}.")
+    for path in ("thumbnail.jpg", *site.pictures):
+        try:
+            pictures.jpeg(get(by_path[path]), metadata=exact)
+        except (ValueError, struct.error) as error:
+            raise refused(f"{path}: {error}.") from error
+    return site, doubts
