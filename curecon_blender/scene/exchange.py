@@ -81,7 +81,8 @@ def export_surfaces(
     note = ""
     with disk_errors(path), TemporaryDirectory(prefix=".curecon-", dir=path.parent) as scratch:
         made = Path(scratch) / path.name
-        with _only(context, items):
+        # Without lights a normal map is of no use.
+        with _only(context, items, relief=choices.form == "GLB" and not choices.unlit):
             if choices.form == "GLB":
                 note = _write_glb(made, items, about, choices, textured=bool(images))
             elif choices.form == "OBJ":
@@ -253,8 +254,9 @@ def _run(operator: bpy.types.Operator, path: Path, **arguments: object) -> None:
 
 
 @contextmanager
-def _only(context: bpy.types.Context, items: list[bpy.types.Object]) -> Iterator[None]:
-    """The given objects shown, untinted and alone selected, as the exporters want it; afterwards all as before."""
+def _only(context: bpy.types.Context, items: list[bpy.types.Object], *, relief: bool) -> Iterator[None]:
+    """The given objects shown, untinted and alone selected, as the exporters want it, with their normal maps or without
+    (`relief`); afterwards all as before."""
     layer, properties = context.view_layer, context.scene.curecon
     outside = [item.name for item in items if item.name not in layer.objects]
     if outside:
@@ -272,7 +274,7 @@ def _only(context: bpy.types.Context, items: list[bpy.types.Object]) -> Iterator
             for item in items:
                 item.matrix_world = Matrix.Scale(1 / metre, 4) @ world_matrix(item)
         surface.show_filled(context.scene, False)
-        surface.simplify(items, True)
+        surface.simplify(items, True, relief=relief)
         for item in selected:
             item.select_set(False)
         for item in items:

@@ -9,7 +9,7 @@ are (the photos' own light) or lit by the scene.
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,7 +18,7 @@ import numpy as np
 
 from ..core.base.errors import WorkspaceError
 from ..core.base.language import Text
-from ..core.surface.mesh import Mesh
+from ..core.surface.mesh import SHARP_ANGLE, Mesh
 from ..core.surface.triangles import face_normals, mesh_edges
 from .points import COLOUR, SUBJECT_SAMPLE, fill, linear, linear_colours, positions
 
@@ -28,16 +28,16 @@ UV = "UVMap"
 TINTED = "Color with filled"  # the vertex colours with the filled faces tinted, for Solid shading
 TINT = (1.0, 0.12, 0.45)  # sRGB: a pink that no building has
 TINT_STRENGTH = 0.85  # the rest is the surface's own colour, which keeps its shape readable
-SHARP_ANGLE = 45.0  # degrees: corners of buildings stay sharp, the noise of measured walls is smoothed
 # Names of nodes, by which the switches find them.
 COLOUR_NODE, TINT_IMAGE_NODE, LIGHT_NODE, FILLED_NODE = "Colour", "Tint for Solid", "Light", "Filled"
+RELIEF_NODE = "Relief"
 
 
-def pictures(mesh: Mesh, file: Path) -> list[Path]:
-    """The pages' files of a mesh that was read from `file`. Raises WorkspaceError where one is missing, or where a
-    face names one that is not there; -1 is a face too thin to be on any."""
-    paths = [file.parent / page for page in mesh.pages]
-    for path in paths:
+def pictures(mesh: Mesh, file: Path) -> tuple[list[Path], list[Path]]:
+    """The pages' files of a mesh that was read from `file`, and those of its normal map. Raises WorkspaceError where
+    one is missing, or where a face names one that is not there; -1 is a face too thin to be on any."""
+    paths, normals = ([file.parent / page for page in pages] for pages in (mesh.pages, mesh.normal_pages))
+    for path in (*paths, *normals):
         if not path.is_file():
             raise WorkspaceError(
                 Text("The texture {} is missing.", path), remedy="Run Texture again in this workspace.", path=path
@@ -47,7 +47,7 @@ def pictures(mesh: Mesh, file: Path) -> list[Path]:
             Text("{} is damaged: a face names a texture that is not there.", file),
             remedy="Run Texture again.", path=file
         )
-    return paths
+    return paths, normals
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class SurfaceArrays:
     `mesh` has no face that names a vertex twice, which would crash Blender later; `edges` (E,2) int32 are its edges'
     vertices and `corner_edges` (M,3) int32 the edge from each corner to the next; `colours` (N,4) float32 linear;
     `tinted` (3M,4), the same for each corner with the filled faces tinted, where there is no texture; `mean` (3,) the
-    mean colour; `material` (M,) int32; `pages` the textures' files.
+    mean colour; `material` (M,) int32; `pages` the textures' files, `normal_pages` those of the normal map, if any.
     """
 
     mesh: Mesh
@@ -68,9 +68,10 @@ class SurfaceArrays:
     mean: np.ndarray
     material: np.ndarray
     pages: list[Path]
+    normal_pages: list[Path]
 
 
-def arrays(mesh: Mesh, pages: list[Path]) -> SurfaceArrays:
+def arrays(mesh: Mesh, pages: list[Path], normal_pages: Sequence[Path] = ()) -> SurfaceArrays:
     """What `build` needs of a surface. No bpy: it may run on any thread."""
     faces = mesh.faces
     whole = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
@@ -92,7 +93,7 @@ def arrays(mesh: Mesh, pages: list[Path]) -> SurfaceArrays:
     return SurfaceArrays(
         mesh=mesh, edges=edges, corner_edges=corner_edges, colours=colours, tinted=tinted,
         mean=linear(mesh.colours.mean(axis=0) / 255) if len(mesh.colours) else np.full(3, 0.5),
-        material=(page * 2 + mesh.filled).astype(np.int32), pages=pages,
+        material=(page * 2 + mesh.filled).astype(np.int32), pages=pages, normal_pages=[*normal_pages],
     )
 
 
@@ -129,9 +130,10 @@ def build(
     for number in range(len(content.pages) if textured else 1):
         yield "Making the surface"
         image = _image(content.pages[number], pack) if textured else None
+        relief = _image(content.normal_pages[number], pack) if content.normal_pages else None
         label = name if len(content.pages) < 2 else f"{name} {number + 1}"
-        data.materials.append(_material(label, image, content.mean, filled=False))
-        data.materials.append(_material(f"{label} Filled", image, content.mean, filled=True))
+        data.materials.append(_material(label, image, relief, content.mean, filled=False))
+        data.materials.append(_material(f"{label} Filled", image, relief, content.mean, filled=True))
     yield "Making the surface"
     data.update()
     yield "Making the surface"
@@ -213,17 +215,22 @@ def light(scene: bpy.types.Scene, by_scene: bool) -> None:
                 material.node_tree.nodes[LIGHT_NODE].inputs[0].default_value = 0.0 if by_scene else 1.0
 
 
-def simplify(items: list[bpy.types.Object], simple: bool) -> None:
-    """Let the materials be a plain matte surface, which exporters understand, or what they are in Blender."""
+def simplify(items: list[bpy.types.Object], simple: bool, *, relief: bool = True) -> None:
+    """Let the materials be a plain matte surface, which exporters understand, or what they are in Blender, with their
+    normal maps or without."""
     for item in items:
         for material in item.data.materials:
             nodes = material.node_tree.nodes if material is not None and material.node_tree is not None else {}
             if LIGHT_NODE not in nodes:
                 continue
-            last = nodes[LIGHT_NODE].inputs[1].links[0].from_node if simple else nodes.get(
-                FILLED_NODE, nodes[LIGHT_NODE])
+            matte, links = nodes[LIGHT_NODE].inputs[1].links[0].from_node, material.node_tree.links
+            last = matte if simple else nodes.get(FILLED_NODE, nodes[LIGHT_NODE])
             output = next(node for node in nodes if node.type == "OUTPUT_MATERIAL")
-            material.node_tree.links.new(last.outputs[0], output.inputs["Surface"])
+            links.new(last.outputs[0], output.inputs["Surface"])
+            if RELIEF_NODE in nodes and relief:
+                links.new(nodes[RELIEF_NODE].outputs[0], matte.inputs["Normal"])
+            elif RELIEF_NODE in nodes:
+                links.remove(matte.inputs["Normal"].links[0])
 
 
 def page_images(item: bpy.types.Object) -> dict[str, bpy.types.Image]:
@@ -260,8 +267,11 @@ def _image(path: Path, pack: bool) -> bpy.types.Image:
     return image
 
 
-def _material(name: str, image: bpy.types.Image | None, mean: np.ndarray, *, filled: bool) -> bpy.types.Material:
-    """The photos' colour, as the photos' own light showed it or on a matte surface in the scene's light."""
+def _material(
+    name: str, image: bpy.types.Image | None, relief: bpy.types.Image | None, mean: np.ndarray, *, filled: bool
+) -> bpy.types.Material:
+    """The photos' colour, as the photos' own light showed it or on a matte surface in the scene's light, with the
+    normal map `relief`."""
     material = bpy.data.materials.new(name)
     if material.node_tree is None:  # before Blender 5.0 a new material has no nodes yet
         material.use_nodes = True
@@ -288,6 +298,8 @@ def _material(name: str, image: bpy.types.Image | None, mean: np.ndarray, *, fil
     links.new(matte.outputs[0], mix.inputs[1])
     links.new(photo.outputs[0], mix.inputs[2])
     links.new(mix.outputs[0], output.inputs["Surface"])
+    if relief is not None:
+        _add_relief(material, relief, matte)
     if filled:
         material[FILLED_KEY] = mean.tolist()
         _add_tint(material, mix, output, solid=image is not None)
@@ -296,6 +308,18 @@ def _material(name: str, image: bpy.types.Image | None, mean: np.ndarray, *, fil
         # Each face would otherwise count as a lamp, and Cycles would sample millions of them.
         material.cycles.emission_sampling = "NONE"
     return material
+
+
+def _add_relief(material: bpy.types.Material, relief: bpy.types.Image, matte: bpy.types.Node) -> None:
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    picture, directions = nodes.new("ShaderNodeTexImage"), nodes.new("ShaderNodeNormalMap")
+    directions.name = directions.label = RELIEF_NODE
+    relief.colorspace_settings.is_data = True
+    picture.image, picture.extension = relief, "EXTEND"
+    directions.uv_map = UV
+    picture.location, directions.location = (-900, 400), (-560, 400)
+    links.new(picture.outputs["Color"], directions.inputs["Color"])
+    links.new(directions.outputs["Normal"], matte.inputs["Normal"])
 
 
 def _add_tint(

@@ -197,15 +197,15 @@ def hide(items: list[bpy.types.Object], hidden: bool) -> None:
         item.hide_viewport = item.hide_render = hidden
 
 
-def _read_surface(folder: Path, index: int, detail: str) -> tuple[Mesh, list[Path]] | None:
-    """A component's surface and its texture's pages: at the level of detail, or else the textured one, or else the
-    plain one, whichever there is. Raises WorkspaceError."""
+def _read_surface(folder: Path, index: int, detail: str) -> tuple[Mesh, list[Path], list[Path]] | None:
+    """A component's surface and the pages of its texture and of its normal map: at the level of detail, or else the
+    textured one, or else the plain one, whichever there is. Raises WorkspaceError."""
     levels = [detail_folder(index, detail)] if detail in DETAILS else []
     folders = [*levels, textured_folder(index)]
     for path in (*(folder / name / "mesh.ply" for name in folders), folder / mesh_file(index)):
         if path.is_file():
             mesh = read_mesh(path)
-            return mesh, surface.pictures(mesh, path)
+            return mesh, *surface.pictures(mesh, path)
     return None
 
 

@@ -279,7 +279,8 @@ def _make_detail(level: str, job: Job) -> None:
         with disk_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
         pages = [source / page for page in fine.pages]
-        write_mesh(folder / "mesh.ply", transfer_texture(coarse, fine, pages, settings, folder, job.reporter))
+        coarse = transfer_texture(coarse, fine, pages, settings, folder, job.reporter, normal_map=True)
+        write_mesh(folder / "mesh.ply", coarse)
 
     textured = [c for c in job.components if (root / textured_folder(c.index) / "mesh.ply").exists()]
     _each_surface(job, textured, make)
@@ -330,7 +331,7 @@ STAGES = {stage.name: stage for stage in (
           options=("texture_size", "texture_format")),
 )}
 DETAIL_STAGES = {level: Stage(
-    name=f"detail_{level}", version=2, weight=0.15, files=(f"detail*/{level}/*",), run=partial(_make_detail, level),
+    name=f"detail_{level}", version=3, weight=0.15, files=(f"detail*/{level}/*",), run=partial(_make_detail, level),
     options=("texture_size", "texture_format"), last=True,
 ) for level in DETAILS}
 

@@ -29,7 +29,7 @@ def simplified(mesh: Mesh, count: int, scratch: Path, reporter: Reporter) -> Mes
     """
     if count < 1:
         raise MeshError(Text("A mesh of {} faces cannot be made.", count), remedy="Ask for at least one face.")
-    mesh = replace(mesh, unseen=None, uv=None, page=None, pages=())
+    mesh = replace(mesh, unseen=None, uv=None, page=None, pages=(), normal_pages=())
     if len(mesh.faces) <= count:
         return mesh
     vertices, faces = _sound(*simplify(mesh.vertices, mesh.faces, count, scratch, reporter))

@@ -27,7 +27,8 @@ _VERTEX = row_type([
 _MARKS = "filled", "weak", "unseen"
 _TEXTURE: list[Field] = [("texcoord", "<f4", 6), ("texnumber", "<i4")]
 _LISTS = {"vertex_indices": 3, "texcoord": 6}
-_PAGE = "TextureFile "  # a comment, one a page
+_PAGE, _NORMAL_PAGE = "TextureFile ", "NormalFile "  # comments, one a page
+SHARP_ANGLE = 45.0  # degrees between faces: corners of buildings stay sharp, the noise of measured walls is smoothed
 _REMEDY = "Run Build Mesh again."
 
 
@@ -45,7 +46,8 @@ class Mesh:
     `weak` (M,) bool, faces that one photo alone measured (None where that is not known);
     `unseen` (M,) bool, apart from that, faces whose colour no photo shows (None before they are painted).
     A textured mesh has `uv` (M,3,2) float32, each corner's place on its page, v upwards from 0 at the bottom,
-    `page` (M,) int32 and `pages`, the pages' picture files, relative to the mesh's own file.
+    `page` (M,) int32 and `pages`, the pages' picture files, relative to the mesh's own file; with a normal map,
+    `normal_pages` too, one for each page.
     """
 
     vertices: np.ndarray
@@ -59,10 +61,11 @@ class Mesh:
     uv: np.ndarray | None = None
     page: np.ndarray | None = None
     pages: tuple[str, ...] = ()
+    normal_pages: tuple[str, ...] = ()
 
     def with_texture(self, uv: np.ndarray, page: np.ndarray, pages: tuple[str, ...]) -> Mesh:
-        """The same surface with UVs, page numbers and the pages' files."""
-        return replace(self, uv=uv, page=page, pages=pages)
+        """The same surface with UVs, page numbers and the pages' files, without a normal map."""
+        return replace(self, uv=uv, page=page, pages=pages, normal_pages=())
 
     @property
     def recorded(self) -> np.ndarray:
@@ -123,7 +126,8 @@ def write_mesh(path: Path, mesh: Mesh) -> None:
     if mesh.uv is not None and mesh.page is not None:
         columns |= {"texcoord": mesh.uv.reshape(-1, 6), "texnumber": mesh.page}
     faces = table(_face(marks, "texcoord" in columns), columns)
-    write_ply(path, {"vertex": vertices, "face": faces}, ["CU-Recon", *(_PAGE + page for page in mesh.pages)])
+    files = [*(_PAGE + page for page in mesh.pages), *(_NORMAL_PAGE + page for page in mesh.normal_pages)]
+    write_ply(path, {"vertex": vertices, "face": faces}, ["CU-Recon", *files])
 
 
 def read_mesh(path: Path) -> Mesh:
@@ -131,22 +135,26 @@ def read_mesh(path: Path) -> Mesh:
     kind."""
     try:
         header, rows = read_ply(path, ["vertex", "face"], _LISTS)
-        pages = tuple(line.removeprefix(_PAGE) for line in header.comments if line.startswith(_PAGE))
+        pages, normal_pages = (
+            tuple(line.removeprefix(kind) for line in header.comments if line.startswith(kind))
+            for kind in (_PAGE, _NORMAL_PAGE))
         vertices, faces = rows["vertex"], rows["face"]
         names = faces.dtype.names or ()
         marks, textured = [mark for mark in _MARKS if mark in names], "texcoord" in names
         ours = "filled" in marks and faces.dtype == _face(marks, textured) and vertices.dtype == _VERTEX
-        if not ours or not all(map(is_file_name, pages)):
+        if not ours or not all(map(is_file_name, pages + normal_pages)):
             raise ValueError("it is no mesh of CU-Recon")
         mesh = Mesh(
             vertices=column(vertices, "x y z"), faces=faces["vertex_indices"].copy(),
             colours=column(vertices, "red green blue"), distance=vertices["distance"].copy(),
-            views=vertices["views"].copy(), pages=pages,
+            views=vertices["views"].copy(), pages=pages, normal_pages=normal_pages,
             **{mark: faces[mark].astype(bool) for mark in marks},
             uv=faces["texcoord"].reshape(-1, 3, 2).copy() if textured else None,
             page=faces["texnumber"].copy() if textured else None,
         )
         _check(mesh)
+        if normal_pages and len(normal_pages) != len(pages):
+            raise ValueError("it has not a normal map for each page")
     except FileNotFoundError as error:
         raise WorkspaceError(Text("{} does not exist.", path), remedy=_REMEDY, path=path) from error
     except OSError as error:

@@ -40,6 +40,7 @@ from .photo_sources import Source, find_sources
 from .visibility import in_camera, project, smooth_normals
 
 PAGE_SIZES = (256, 8192)  # pixels a side: below, padding takes most of a page; above, graphics cards give up
+COLOUR, NORMAL = "texture", "normal"  # kinds of pages, as their files are named
 _PASSES = 3  # over the photos: candidates, levelling, baking
 
 
@@ -228,14 +229,20 @@ def _encoded_pages(plan: Bake, sources: list[Source], options: TextureOptions, r
     return encoded
 
 
-def write_pages(folder: Path, pages: list[np.ndarray], options: TextureOptions) -> tuple[str, ...]:
-    """Write pages (S,S,3) uint8 sRGB, all or none, in place of those of an earlier texture; returns the files' names.
-    Raises WorkspaceError."""
-    return _write(folder, [_encode(page, options) for page in pages], options)
+def write_pages(
+    folder: Path, pages: list[np.ndarray], options: TextureOptions, kind: str = COLOUR
+) -> tuple[str, ...]:
+    """Write pages (S,S,3) uint8, all or none, in place of earlier ones of that kind; returns the files' names. Raises
+    WorkspaceError."""
+    return _write(folder, [_encode(page, options, kind) for page in pages], options, kind)
 
 
-def _encode(page: np.ndarray, options: TextureOptions) -> np.ndarray:
-    settings = [cv2.IMWRITE_JPEG_QUALITY, 93] if options.jpeg else [cv2.IMWRITE_PNG_COMPRESSION, 3]
+def _encode(page: np.ndarray, options: TextureOptions, kind: str = COLOUR) -> np.ndarray:
+    settings = [cv2.IMWRITE_PNG_COMPRESSION, 3]
+    if options.jpeg:
+        settings = [cv2.IMWRITE_JPEG_QUALITY, 93]
+        if kind == NORMAL:  # it has no colour that the eye would not miss
+            settings += [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
     return np.asarray(cv2.imencode(_suffix(options), page[..., ::-1], settings)[1])
 
 
@@ -243,15 +250,17 @@ def _suffix(options: TextureOptions) -> str:
     return ".jpg" if options.jpeg else ".png"
 
 
-def _write(folder: Path, encoded: list[np.ndarray], options: TextureOptions) -> tuple[str, ...]:
+def _write(
+    folder: Path, encoded: list[np.ndarray], options: TextureOptions, kind: str = COLOUR
+) -> tuple[str, ...]:
     """All pages or none; then pages of an earlier texture that are not among them go. The files' names."""
-    names = tuple(f"texture_{number}{_suffix(options)}" for number in range(len(encoded)))
+    names = tuple(f"{kind}_{number}{_suffix(options)}" for number in range(len(encoded)))
     with ExitStack() as stack:
         files = [stack.enter_context(atomic_write(folder / name)) for name in names]
         for file, content in zip(files, encoded, strict=True):
             file.write(content.tobytes())
             file.flush()
-    for old in (*folder.glob("texture_*.png"), *folder.glob("texture_*.jpg")):
-        if old.name not in names and old.stem.removeprefix("texture_").isdigit():
+    for old in (*folder.glob(f"{kind}_*.png"), *folder.glob(f"{kind}_*.jpg")):
+        if old.name not in names and old.stem.removeprefix(f"{kind}_").isdigit():
             old.unlink(missing_ok=True)
     return names

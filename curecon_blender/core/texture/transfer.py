@@ -1,6 +1,7 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The texture of a mesh for a simplified one: each texel takes the colour of the nearest place of the finer surface.
+"""The texture of a mesh for a simplified one: each texel takes the colour of the nearest place of the finer surface,
+and on a normal map its direction.
 
 Photos cannot give it: they see few of the large faces whole, and where those stray from the true surface, each photo
 would show them something else.
@@ -23,18 +24,21 @@ from ..surface.mesh import Mesh
 from ..surface.triangles import face_normals, triangle_areas
 from .baking import fill_gaps
 from .charts import PADDING
+from .normal_map import FLAT, corner_normals, frames
 from .rasterise import scan_convert
-from .texture import TextureOptions, write_pages
+from .texture import COLOUR, NORMAL, TextureOptions, write_pages
 
 _NEAREST = 4  # faces of the finer mesh that a texel is compared with
 _BACK = 9.0  # times the squared distance that the back of a face counts for
 
 
 def transfer_texture(
-    coarse: Mesh, fine: Mesh, pages: list[Path], options: TextureOptions, folder: Path, reporter: Reporter
+    coarse: Mesh, fine: Mesh, pages: list[Path], options: TextureOptions, folder: Path, reporter: Reporter, *,
+    normal_map: bool = False,
 ) -> Mesh:
-    """Write texture_0.png (or .jpg) of at most `options.page_size` texels a side into `folder`, and return the coarse
-    mesh with its UVs. `fine` is the textured mesh that it was made of, and `pages` its pages' files.
+    """Write texture_0.png (or .jpg) of at most `options.page_size` texels a side into `folder`, with `normal_map` also
+    normal_0, and return the coarse mesh with its UVs. `fine` is the textured mesh that it was made of, and `pages` its
+    pages' files.
 
     xatlas cuts and packs the charts. A face is `unseen` where most of the finer surface nearest to it is. Raises
     PhotoError for a page that cannot be read, and WorkspaceError for a full disk.
@@ -43,38 +47,56 @@ def transfer_texture(
     uv = _unwrapped(coarse)
     size = options.page_size
     corners = uv * np.float32(size)
+    uv[..., 1] = 1 - uv[..., 1]
+    coarse = coarse.with_texture(uv, np.zeros(len(uv), np.int32), ())
     finer = _Finer(fine, pages, float(triangle_areas(corners).sum()))
-    normals = face_normals(coarse.vertices, coarse.faces)
+    relief = _Relief(coarse, fine) if normal_map else None
+    facing = face_normals(coarse.vertices, coarse.faces)
     page, covered = np.zeros((size * size, 3), np.uint8), np.zeros(size * size, np.uint8)
+    bumps = np.full((size * size, 3), FLAT, np.uint8) if normal_map else page[:0]
     unseen, count = np.zeros(len(coarse.faces)), np.zeros(len(coarse.faces))
-    done = 0
     for face, pixel, weights in scan_convert(corners, size, size):
         points = np.einsum("nk,nkc->nc", weights, coarse.vertices[coarse.faces[face]])
-        page[pixel], hidden = finer.look_up(points, normals[face])
-        covered[pixel] = 1
-        unseen += np.bincount(face, hidden, len(unseen))
+        place = finer.nearest(points, facing[face])
+        page[pixel], covered[pixel] = finer.colours(*place), 1
+        if relief is not None:
+            bumps[pixel] = relief.texels(face, weights, *place)
+        unseen += np.bincount(face, finer.unseen[place[0]], len(unseen))
         count += np.bincount(face, minlength=len(count))
-        done = max(done, int(face.max()) + 1)
-        reporter.progress(5 + 85 * done // len(coarse.faces), 100)
+        reporter.progress(5 + 85 * (int(face.max()) + 1) // len(coarse.faces), 100)
     small = np.flatnonzero(count == 0)  # they have the texel that they lie in, if no other has
-    colour, hidden = finer.look_up(coarse.vertices[coarse.faces[small]].mean(axis=1), normals[small])
+    place = finer.nearest(coarse.vertices[coarse.faces[small]].mean(axis=1), facing[small])
     x, y = np.clip(corners[small].mean(axis=1), 0, size - 1).T.astype(np.int64)
     free = covered[y * size + x] == 0
-    page[(y * size + x)[free]], covered[y * size + x] = colour[free], 1
-    unseen[small], count[small] = hidden, 1
-    filled_up = fill_gaps(page.reshape(size, size, 3), covered.reshape(size, size))
-    names = write_pages(folder, [filled_up], options)
+    page[(y * size + x)[free]], covered[y * size + x] = finer.colours(*place)[free], 1
+    unseen[small], count[small] = finer.unseen[place[0]], 1
+    names = [
+        write_pages(folder, [fill_gaps(texels.reshape(size, size, 3), covered.reshape(size, size).copy())],
+                    options, kind)
+        for kind, texels in ((COLOUR, page), (NORMAL, bumps)) if len(texels)
+    ]
     reporter.progress(100, 100)
-    uv[..., 1] = 1 - uv[..., 1]
-    return replace(coarse, unseen=2 * unseen > count).with_texture(uv, np.zeros(len(uv), np.int32), names)
+    return replace(coarse, unseen=2 * unseen > count, pages=names[0], normal_pages=names[1] if normal_map else ())
+
+
+class _Relief:
+    """The finer surface's directions, told in the coarse one's frames."""
+
+    def __init__(self, coarse: Mesh, fine: Mesh) -> None:
+        self._frames, self._normals = frames(coarse), corner_normals(fine)
+
+    def texels(self, face: np.ndarray, weights: np.ndarray, theirs: np.ndarray, place: np.ndarray) -> np.ndarray:
+        """Of a normal map (n,3) uint8 at places `weights` (n,3) on coarse faces (n,), for `place` on `theirs`."""
+        return self._frames.encode(face, weights, np.einsum("nk,nkc->nc", place, self._normals[theirs]))
 
 
 class _Finer:
-    """The finer surface: where it is nearest to given points, and its colour there at about `texels` on the whole."""
+    """The finer surface: where it is nearest to given points, and its colour there at about `texels` on the whole;
+    `unseen` (M,) bool, its faces that no photo shows."""
 
     def __init__(self, mesh: Mesh, pages: list[Path], texels: float) -> None:
         assert mesh.uv is not None and mesh.page is not None and mesh.unseen is not None
-        self._mesh, self._uv, self._page, self._unseen = mesh, mesh.uv, mesh.page, mesh.unseen
+        self._mesh, self._uv, self._page, self.unseen = mesh, mesh.uv, mesh.page, mesh.unseen
         self._normals = face_normals(mesh.vertices, mesh.faces)
         self._tree = cKDTree(mesh.vertices[mesh.faces].mean(axis=1))
         self._pages = [images.read_rgb(path) for path in pages]
@@ -84,11 +106,11 @@ class _Finer:
             self._pages = [cv2.resize(page, None, fx=0.5**halvings, fy=0.5**halvings, interpolation=cv2.INTER_AREA)
                            for page in self._pages]
 
-    def look_up(self, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Colours (n,3) uint8 and whether no photo shows them (n,) bool, at the places nearest to `points` (n,3) on
-        faces that look about as `normals` (n,3) do."""
+    def nearest(self, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The face (n,) and barycentric place (n,3) on it nearest to each of `points` (n,3), among faces that look
+        about as `normals` (n,3) do."""
         if not len(points):
-            return np.zeros((0, 3), np.uint8), np.zeros(0, bool)
+            return np.zeros(0, np.int64), np.zeros((0, 3))
         candidates = self._tree.query(points, min(_NEAREST, self._tree.n))[1].reshape(len(points), -1)
         best, face = np.full(len(points), np.inf), candidates[:, 0].copy()
         weights = np.zeros((len(points), 3))
@@ -100,12 +122,16 @@ class _Finer:
             off = np.where(back, _BACK * off, off)
             better = off < best
             best[better], face[better], weights[better] = off[better], candidate[better], share[better]
+        return face, weights
+
+    def colours(self, face: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Colours (n,3) uint8 at such places."""
         place = np.einsum("nk,nkc->nc", weights, self._uv[face])
-        colours = np.zeros((len(points), 3), np.uint8)
+        colours = np.zeros((len(face), 3), np.uint8)
         for number, page in enumerate(self._pages):
             here = np.flatnonzero(self._page[face] == number)
             colours[here] = sample(page, place[here, 0] * page.shape[1], (1 - place[here, 1]) * page.shape[0])
-        return colours, self._unseen[face]
+        return colours
 
 
 def _on_triangle(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
