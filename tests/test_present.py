@@ -15,7 +15,7 @@ from test_extension import blender, run_script  # noqa: F401
 from curecon_blender.core.base.errors import SurfaceError, WorkspaceError
 from curecon_blender.core.base.records import Photo, PhotoSet
 from curecon_blender.core.photos import capture, record
-from curecon_blender.core.present import camera_path, sheet, sheet_files, sun
+from curecon_blender.core.present import camera_path, marks, sheet, sheet_files, sun
 from curecon_blender.core.site import footprint
 
 GREENWICH = (51.4779, 0.0)
@@ -152,6 +152,68 @@ def test_a_sheet_is_drawn_pixel_for_pixel() -> None:
         red = np.all(pixels == (200, 30, 20), axis=2)
         assert red.sum() == 200 * 100 * density**2 and red.any(axis=0).sum() == 200 * density
     assert pixels[-round(10.1 * 8), 100 * 8].max() < 60  # the frame, 10 mm above the paper's edge
+
+
+def facts(shown: np.ndarray, depth: np.ndarray, right: np.ndarray, filled: np.ndarray | None = None) -> marks.Facts:
+    none = np.zeros_like(shown)
+    return marks.Facts(shown=shown, depth=depth, normals=np.stack([right, np.zeros_like(right)], axis=2),
+                       filled=none if filled is None else filled, unseen=none)
+
+
+def test_what_was_not_measured_is_hatched_and_what_lies_outside_is_not() -> None:
+    shown = np.ones((200, 300), bool)
+    shown[:, :20] = False  # beside the building
+    shown[60:120, 60:120] = False  # a hole in its wall
+    shown[150:, 200:230] = False  # its gate, open below
+    shown[100, 200:] = False  # a crack
+    filled = np.zeros_like(shown)
+    filled[20:60, 200:260] = True
+    filled[180:182, 100:102] = True  # a speck
+    depth = np.zeros(shown.shape)
+    found = marks.hatching(facts(shown, depth, depth, filled), 4).unmeasured
+    assert found[70:110, 70:110].all() and found[30:50, 210:250].all()
+    assert found.sum() == pytest.approx(60 * 60 + 40 * 60, rel=0.06)
+    assert not found[:, :20].any() and not found[160:, 205:225].any()
+    pixels = np.full((200, 300, 3), (40, 40, 40), np.uint8)
+    drawn = marks.hatch(pixels, marks.Hatching(found, np.zeros_like(found)), 4)
+    assert (drawn[~found] == 40).all()
+    ink = (drawn[70:110, 70:110] < 40).all(axis=2)
+    assert 0.05 < ink.mean() < 0.15 and drawn[70:110, 70:110][~ink].min() > 120
+    rows, columns = np.nonzero(ink)
+    assert len(np.unique(rows + columns)) < 0.15 * (rows + columns).ptp()  # they rise to the right
+
+
+def test_edges_are_where_the_surface_steps_turns_or_ends() -> None:
+    row, column = np.mgrid[:200, :300].astype(float)
+    depth = 0.9 * column  # a wall seen aslant is no edge
+    depth[50:150, 50:100] -= 40  # something before it
+    right = np.where(column < 200, 0.0, 0.9)  # the house's corner
+    depth[row < 20] = 0
+    noise = np.random.default_rng(0).normal(0, 0.1, depth.shape)
+    drawn = marks.edges(facts(row >= 20, depth, np.clip(right + noise, -0.99, 0.99)), 4)
+    assert drawn[60:140, 49:52].any(axis=1).all() and drawn[60:140, 98:101].any(axis=1).all()
+    assert drawn[49:52, 60:90].any(axis=0).all() and drawn[20:22, 5:190].any(axis=0).all()
+    assert drawn[30:190, 196:204].any(axis=1).mean() > 0.9
+    assert not drawn[:19].any()
+    quiet = np.ones_like(drawn)
+    quiet[:24], quiet[45:155, 45:105], quiet[:, 190:210] = False, False, False
+    assert drawn[quiet].mean() < 0.002
+
+
+def test_a_legend_tells_what_hatchings_mean() -> None:
+    letters = Letters()
+    bare = sheet.lay_out(drawing(scale=100), Letters())
+    told = tuple(sheet.Mark(slope=slope, words=words) for slope, words in ((1, "Not measured"), (-1, "Unseen")))
+    laid = sheet.lay_out(replace(drawing(scale=100), legend=told), letters)
+    assert letters.texts.count("Not measured") and letters.texts.count("Unseen")
+    added = [fill.triangles for fill in laid.fills if not any(fill.triangles.shape == other.triangles.shape
+             and np.allclose(fill.triangles, other.triangles) for other in bare.fills)]
+    rises = [np.polyfit(*line.reshape(-1, 2).T, 1)[0] > 0 for line in added if len(line) == 2 and np.ptp(line) > 0
+             and np.ptp(line[..., 1]) > 2.5]
+    assert rises.count(True) == rises.count(False) >= 2
+    # In the free strip between the drawing and the title.
+    assert all(line[..., 1].min() > sheet.MARGIN + sheet.STRIP and line[..., 1].max() < laid.pictures[0].y
+               for line in added)
 
 
 def test_the_sun_falls_as_on_the_day_of_the_photos(blender: Path, tmp_path: Path) -> None:  # noqa: F811

@@ -26,7 +26,7 @@ class CURECON_OT_render_elevations(RenderSeries, bpy.types.Operator):
     def shots(self, context: bpy.types.Context, stage: bpy.types.Scene, folder: Path) -> list[render_scene.Shot]:
         owner.recall(context)
         self._plan = elevations.plan(context.scene, stage, folder)
-        return [elevation.shot for elevation in self._plan.elevations]
+        return self._plan.shots
 
     def done(self, scene: bpy.types.Scene, folder: Path) -> str:
         try:

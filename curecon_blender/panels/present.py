@@ -111,6 +111,7 @@ class CURECON_PT_present_elevations(_Part, bpy.types.Panel):
             paragraph(layout, context, "Scale unknown: the sheets will say so and carry no scale bar.", icon="INFO")
         layout.prop(present, "facade_turn")
         layout.row().prop(present, "sheet_light", expand=True)
+        layout.prop(present, "sheet_lines")
         layout.operator("curecon.render_elevations", icon="SNAP_PERPENDICULAR")
 
 

@@ -105,6 +105,9 @@ class CURECON_PG_present(bpy.types.PropertyGroup):
     sheet_light: EnumProperty(
         name="Light", description="In which the elevations are drawn", items=SHEET_LIGHTS, default="PHOTO",
     )
+    sheet_lines: BoolProperty(
+        name="Edge Lines", description="Draw a line where the surface ends, steps back or turns", default=False,
+    )
     quality: EnumProperty(
         name="Quality", description="Of all that is rendered, with F12 too", items=QUALITIES, default="DRAFT",
         update=_quality,

@@ -21,11 +21,16 @@ from ..core.base.errors import CuReconError
 from ..core.base.files import disk_errors
 from ..core.base.language import Text
 from ..core.present.camera_path import CameraPath
+from ..core.present.marks import Facts
 from . import flight, presentation, site, surface
 from .surface import surfaces_of
 
 STAGE_ROLE = "stage"
 NAME = "CU-Recon Rendering"
+FACTS_NODE = "Facts"
+FLAG = 4.0  # what a mark adds to a part of a normal, which is never so large
+SAMPLES_KEY, DENOISE_KEY = "curecon_samples", "curecon_denoise"  # on the stage: what colours are rendered with
+FILTER = 1.5  # pixels: Blender's own
 EEVEES = ("BLENDER_EEVEE", "BLENDER_EEVEE_NEXT")  # 4.5 has the second, 5.0 and later the first
 
 
@@ -53,7 +58,7 @@ QUALITIES = {
 @dataclass(frozen=True, kw_only=True)
 class Shot:
     """One render: `camera` is an object, `size` in pixels; `frames` above 1 make a film. A `clear` one has no
-    background."""
+    background. One of `facts` holds in place of colours what `read_facts` reads."""
 
     name: str
     file: Path
@@ -61,6 +66,7 @@ class Shot:
     size: tuple[int, int]
     frames: int = 1
     clear: bool = False
+    facts: bool = False
 
 
 def create(scene: bpy.types.Scene) -> bpy.types.Scene:
@@ -74,6 +80,8 @@ def create(scene: bpy.types.Scene) -> bpy.types.Scene:
     try:
         _set_output(stage)
         _apply(stage, scene.curecon, engine)
+        stage[SAMPLES_KEY] = QUALITIES[scene.curecon.present.quality].samples
+        stage[DENOISE_KEY] = scene.curecon.surface_light == "SCENE"
     except BaseException:
         remove(stage)
         raise
@@ -205,11 +213,14 @@ def set_up(stage: bpy.types.Scene, shot: Shot) -> None:
     render.filepath = _literal(shot.file)
     stage.frame_start, stage.frame_end = 1, shot.frames
     film = shot.frames > 1
+    _show_facts(stage, shot.facts)
     if hasattr(settings, "media_type"):  # Blender 5
         settings.media_type = "VIDEO" if film else "IMAGE"
-    settings.file_format = "FFMPEG" if film else "PNG"
+    settings.file_format = "FFMPEG" if film else "OPEN_EXR" if shot.facts else "PNG"
     settings.color_mode = "RGBA" if shot.clear else "RGB"
-    if film:
+    if shot.facts:
+        settings.color_depth, settings.exr_codec = "32", "ZIP"
+    elif film:
         encoding = render.ffmpeg
         encoding.format, encoding.codec, encoding.audio_codec = "MPEG4", "H264", "NONE"
         encoding.constant_rate_factor, encoding.gopsize = "HIGH", 12
@@ -224,7 +235,9 @@ def check(stage: bpy.types.Scene, shot: Shot) -> None:
         raise RenderError(Text("Blender could not write {}.", shot.file), remedy=remedy, path=shot.file)
     if stage.camera is None or stage.camera.name != shot.camera:
         raise RenderError(Text("{} was drawn by another camera.", shot.file), remedy=remedy, path=shot.file)
-    if shot.frames == 1:
+    if shot.facts:
+        fits = True  # reading them will tell
+    elif shot.frames == 1:
         found = struct.unpack(">II", shot.file.read_bytes()[16:24])
         fits = found == shot.size
     else:
@@ -275,6 +288,57 @@ def add_square(
     matrix[:3, :3], matrix[:3, 3] = axes.T, about.centre + depth * axes[2]
     camera.matrix_world = Matrix(matrix.tolist())
     return camera.name
+
+
+def add_facts(stage: bpy.types.Scene) -> bool:
+    """Let the surfaces be able to show what is known of them in place of their colours; False where something stands
+    on the stage that is no surface, of which nothing is known."""
+    items = [item for item in stage.objects if item.type in ("MESH", "POINTCLOUD")]
+    if not items or not all(map(surface.is_surface, items)):
+        return False
+    for material in {material for item in items for material in _own_materials(item)}:
+        surface.add_facts(material, FACTS_NODE, FLAG)
+    return True
+
+
+def read_facts(shot: Shot, pixel: float) -> Facts:
+    """What a shot of facts by an orthographic camera shows, of which a pixel is `pixel` scene units wide. The file
+    goes. Raises RenderError, WorkspaceError."""
+    file = shot.file
+    image = bpy.data.images.load(str(file))
+    try:
+        image.colorspace_settings.is_data = True
+        across, down = image.size
+        values = np.empty((down, across, 4), np.float32)
+        image.pixels.foreach_get(values.ravel())
+    finally:
+        bpy.data.images.remove(image)
+    with disk_errors(file):
+        file.unlink()
+    if (across, down) != shot.size:
+        raise RenderError(Text("{} is of another size than was asked for.", file), path=file,
+                          remedy="Switch off add-ons that change renders.")
+    values = values[::-1]
+    flags = np.rint(values[..., 1:3] / FLAG)
+    return Facts(shown=values[..., 3] > 0.5, depth=values[..., 0] / pixel, normals=values[..., 1:3] - FLAG * flags,
+                 filled=flags[..., 0] > 0, unseen=flags[..., 1] > 0)
+
+
+def _show_facts(stage: bpy.types.Scene, facts: bool) -> None:
+    """Let one ray through each pixel's middle find facts, or many all over it find colours."""
+    nodes = [material.node_tree.nodes[FACTS_NODE] for item in stage.objects for material in _own_materials(item)
+             if material.node_tree is not None and FACTS_NODE in material.node_tree.nodes]
+    for node in nodes:
+        node.inputs[0].default_value = float(facts)
+    if not nodes:
+        return
+    samples = 1 if facts else stage[SAMPLES_KEY]
+    stage.render.filter_size = 0.0 if facts else FILTER
+    stage.eevee.taa_render_samples = samples
+    if hasattr(stage, "cycles"):
+        cycles = stage.cycles
+        cycles.samples, cycles.use_denoising = samples, not facts and stage[DENOISE_KEY]
+        cycles.pixel_filter_type, cycles.filter_width = ("BOX", 0.01) if facts else ("BLACKMAN_HARRIS", FILTER)
 
 
 def show_fronts_only(stage: bpy.types.Scene) -> None:

@@ -233,6 +233,32 @@ def simplify(items: list[bpy.types.Object], simple: bool, *, relief: bool = True
                 links.remove(matte.inputs["Normal"].links[0])
 
 
+def add_facts(material: bpy.types.Material, name: str, flag: float) -> None:
+    """Give a material a node `name` whose factor, at 1, lets it show in place of its colour: the depth before the
+    camera, and the normal's parts to the right and up, with `flag` more where the face is filled, and unseen."""
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    output = next(node for node in nodes if node.type == "OUTPUT_MATERIAL")
+    geometry, camera, turn, parts, facts, told, switch = (nodes.new(f"ShaderNode{kind}") for kind in (
+        "NewGeometry", "CameraData", "VectorTransform", "SeparateXYZ", "CombineXYZ", "Emission", "MixShader"))
+    turn.vector_type, turn.convert_from, turn.convert_to = "NORMAL", "WORLD", "CAMERA"
+    switch.name = switch.label = name
+    switch.inputs[0].default_value = 0.0
+    links.new(geometry.outputs["Normal"], turn.inputs[0])
+    links.new(turn.outputs[0], parts.inputs[0])
+    links.new(camera.outputs["View Z Depth"], facts.inputs[0])
+    for part, mark in ((0, "filled"), (1, "unseen")):
+        attribute, added = nodes.new("ShaderNodeAttribute"), nodes.new("ShaderNodeMath")
+        attribute.attribute_type, attribute.attribute_name = "GEOMETRY", mark
+        added.operation, added.inputs[1].default_value = "MULTIPLY_ADD", flag
+        links.new(attribute.outputs["Fac"], added.inputs[0])
+        links.new(parts.outputs[part], added.inputs[2])
+        links.new(added.outputs[0], facts.inputs[part + 1])
+    links.new(facts.outputs[0], told.inputs["Color"])
+    links.new(output.inputs["Surface"].links[0].from_socket, switch.inputs[1])
+    links.new(told.outputs[0], switch.inputs[2])
+    links.new(switch.outputs[0], output.inputs["Surface"])
+
+
 def page_images(item: bpy.types.Object) -> dict[str, bpy.types.Image]:
     """The image of each of the surface's materials that has one, by the material's name."""
     found = {}

@@ -21,6 +21,7 @@ from pictures import pixels_of
 import curecon_blender
 from curecon_blender.core.adjust import record
 from curecon_blender.core.photos import capture
+from curecon_blender.core.present.marks import PALE
 from curecon_blender.operators import rendering
 from curecon_blender.scene import elevations
 
@@ -125,10 +126,18 @@ try:
         assert np.allclose(paper, (297, 210), atol=0.01), paper
         metres = np.array(extent(coloured(picture))) * mm / 1000 * 100
         assert np.abs(metres - size).max() < 0.06, metres
-    # Seen from the east, the tent's south is on the left: green, and yellow to the north.
+    # Seen from the east, the tent's south is on the left: green, and yellow to the north, paler, for that was filled.
     east = pages[1][2][pages[1][2].shape[0] // 2]
     assert np.allclose(east[20], surface_scene.QUARTERS[1] / 255, atol=0.02), east[20]
-    assert np.allclose(east[-20], surface_scene.QUARTERS[3] / 255, atol=0.02), east[-20]
+    pale = surface_scene.QUARTERS[3] / 255 + PALE * (1 - surface_scene.QUARTERS[3] / 255)
+    assert min(np.abs(east[-20:-10] - pale).max(axis=1)) < 0.02, east[-20:-10]
+    # Ink lies over that quarter alone.
+    plan = pages[4][2]
+    middle = plan.shape[0] // 2
+    ink = (plan < 0.12).all(axis=2)[20:-20, 20:-20]
+    halves = (slice(middle - 20, None), slice(None, middle - 20))
+    shares = [ink[rows, columns].mean() for rows in halves for columns in halves[::-1]]
+    assert max(shares[:3]) < 0.005 and 0.06 < shares[3] < 0.15, shares  # south-west, south-east, north-west, north-east
 
     # A sheet says when its photos were taken, by whom, under which licence, in which axes, and how exact it is.
     workspace_scene.tell_times(
@@ -141,6 +150,15 @@ try:
     accuracy = record.Accuracy(adjusted=True, reprojection_error=0.5, check=(off,))
     (FOLDER / "metres" / "sparse" / "0" / record.ACCURACY_FILE).write_text(json.dumps(asdict(accuracy)))
     assert "1 check point: 12 mm in plan and 30 mm in height" in elevations.notes(scene, {})
+
+    # Edges are drawn when asked for: here the outline alone, since the ridge is as blunt as a roof's.
+    scene.curecon.present.sheet_lines = True
+    assert bpy.ops.curecon.render_elevations() == {"FINISHED"}
+    drawn = (pages_of(OUT / "elevations.pdf")[4][2] < 0.12).all(axis=2)
+    inside = np.zeros_like(drawn)
+    inside[15:-15, 15:-15] = True
+    assert (drawn & ~inside).sum() > 4 * 380 and (drawn & inside)[middle:].mean() < 0.005
+    scene.curecon.present.sheet_lines = False
 
     # A quarter turn swaps the sides; a larger scale wants a larger paper; too large a one is an error in words. In a
     # dark scene, too, sheets are drawn in the photos' light, and the surface takes the scene's again.

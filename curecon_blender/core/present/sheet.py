@@ -6,12 +6,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from math import cos, radians, sin
+from math import cos, radians, sin, sqrt
 
 import numpy as np
 
 from ..base.errors import SurfaceError
 from ..base.language import Text
+from .marks import HATCH, THICK
 
 Letters = Callable[[str], np.ndarray]  # a text to triangles (N,3,2) about 1 high, from (0, 0) on the base line
 PAPERS = {"A4": (297, 210), "A3": (420, 297), "A2": (594, 420), "A1": (841, 594), "A0": (1189, 841)}
@@ -52,12 +53,21 @@ class Sheet:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Mark:
+    """What a hatching means, in words; `slope` 1 rises to the right, -1 falls."""
+
+    slope: int
+    words: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class Drawing:
     """What a sheet says of its drawing.
 
     `pixels_per_mm` holds on the paper. `scale` is the denominator, 100 for 1:100; None when the scale is unknown.
     `north` is where north points on a plan, degrees clockwise from the sheet's top; None on façades and where north is
-    unknown. `orientation` says in words which way the drawing faces, `notes` what the drawing rests on.
+    unknown. `orientation` says in words which way the drawing faces, `notes` what the drawing rests on, `legend` what
+    its hatchings mean.
     """
 
     pixels: np.ndarray
@@ -69,6 +79,7 @@ class Drawing:
     orientation: str
     north: float | None = None
     notes: str = ""
+    legend: tuple[Mark, ...] = ()
 
     @property
     def size(self) -> tuple[float, float]:
@@ -114,6 +125,7 @@ def lay_out(drawing: Drawing, letters: Letters) -> Sheet:
     y = _whole(MARGIN + STRIP + GAP + (free[1] - height) / 2, drawing.pixels_per_mm)
     sheet.pictures.append(Picture(x=x, y=y, width=width, height=height, pixels=drawing.pixels))
     _frame(sheet, left, MARGIN, right, top)
+    _legend(sheet, letters, drawing.legend, left + 4, MARGIN + STRIP + 2.4)
     sheet.fills.append(Fill(triangles=rectangle(left, MARGIN + STRIP, right, MARGIN + STRIP + LINE)))
     base, third = MARGIN + STRIP / 2, (right - left) / 3
     end = right - 4
@@ -224,6 +236,21 @@ def _north(sheet: Sheet, letters: Letters, north: float, x: float, y: float) -> 
             sheet.fills.append(Fill(triangles=_anticlockwise(_inset(half, LINE)), colour=WHITE))
     name = tip + 2 * along
     _write(sheet, letters, "N", name[0], name[1] - 0.9, 2.6, align=0.5)
+
+
+def _legend(sheet: Sheet, letters: Letters, legend: tuple[Mark, ...], x: float, y: float) -> None:
+    """A swatch and its words for each hatching, side by side from (x, y)."""
+    height, width = 3.2, 7.0
+    for mark in legend:
+        for start in np.arange(x, x + width - height, HATCH * sqrt(2) / 2):
+            foot, head = (start, start + height)[:: mark.slope]
+            across = THICK / sqrt(2)
+            line = np.array([(foot - across, y), (foot + across, y), (head + across, y + height),
+                             (head - across, y + height)])
+            sheet.fills.append(Fill(triangles=_anticlockwise(line[[[0, 1, 2], [0, 2, 3]]])))
+        words = letters(mark.words) * 2.4
+        _write(sheet, letters, mark.words, x + width + 2, y + 0.7, 2.4)
+        x += width + 8 + (float(words[..., 0].max()) if len(words) else 0)
 
 
 def _inset(triangles: np.ndarray, distance: float) -> np.ndarray:

@@ -154,7 +154,7 @@ def read_mesh(path: Path) -> Mesh:
         )
         _check(mesh)
         if normal_pages and len(normal_pages) != len(pages):
-            raise ValueError("it has not a normal map for each page")
+            raise ValueError("it has a normal map for some of its pages alone")
     except FileNotFoundError as error:
         raise WorkspaceError(Text("{} does not exist.", path), remedy=_REMEDY, path=path) from error
     except OSError as error:
