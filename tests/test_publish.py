@@ -17,6 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import published
 import pytest
@@ -30,7 +31,7 @@ from curecon_blender.core.base.messages import Reporter
 from curecon_blender.core.base.options import CELL, EXACT, HIDDEN
 from curecon_blender.core.base.records import GeoPosition
 from curecon_blender.core.cloud.ply import read_cloud
-from curecon_blender.core.publish import levels, privacy, tiles
+from curecon_blender.core.publish import levels, page, privacy, tiles
 from curecon_blender.core.publish.records import About, Note
 from curecon_blender.core.run.publish import publish
 from curecon_blender.core.surface.mesh import Mesh, read_mesh
@@ -52,6 +53,7 @@ def told(textured: tuple[Path, Run], made_once: MakeOnce[Path]) -> Path:
         (folder / "w" / "presentation").mkdir()
         for name in ("still_1", "1_north"):
             Image.new("RGB", (64, 48), "brown").save(folder / "w" / "presentation" / f"{name}.png", pnginfo=secret)
+        write_film(folder / "w" / "presentation" / "film.mp4")
         (folder / "w" / "report").mkdir()
         (folder / "w" / "report" / "report.pdf").write_bytes(b"%PDF-1.4 24.658307 117.052089 DJI_0014")
         mesh = read_mesh(folder / "w" / "textured" / "mesh.ply")
@@ -82,6 +84,22 @@ def site(told: Path, made_once: MakeOnce[Path]) -> Callable[[str], Path]:
             return folder / "out"
         return made_once(f"published_{location}", make)
     return of
+
+
+def write_film(path: Path) -> None:
+    """A film of ten grey pictures whose metadata tell the site's place: in the film's own, and in a box beside."""
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"vp09"), 10, (64, 48))
+    for shade in range(100, 200, 10):
+        writer.write(np.full((48, 64, 3), shade, np.uint8))
+    writer.release()
+    film = path.read_bytes()
+    at = film.index(b"moov") - 4  # its index comes last, and grows
+    own, beside = _box(b"udta", b"24.658307 117.052089 DJI_0014"), _box(b"uuid", b"10:48:05 DJI_0014")
+    path.write_bytes(film[:at] + _box(b"moov", film[at + 8 :] + own) + beside)
+
+
+def _box(kind: bytes, content: bytes) -> bytes:
+    return (8 + len(content)).to_bytes(4, "big") + kind + content
 
 
 def known_places(workspace: Path) -> list[tuple[float, float, float]]:
@@ -121,11 +139,37 @@ def test_the_search_finds_what_there_is_to_find(site: Callable[[str], Path], tol
     for what in ("item.json: latitude as text", "site.json: longitude as text", "report.pdf: packed"):
         assert what in exact, exact
     workspace = "\n".join(published.telling(told, needles))
-    for what in ("altitude as text", "photo DJI_0014", "time of DJI_0014", "GPS of DJI_0014", "still_1.png: Comment"):
+    for what in ("altitude as text", "photo DJI_0014", "time of DJI_0014", "GPS of DJI_0014", "still_1.png: Comment",
+                 "film.mp4: photo DJI_0014"):
         assert what in workspace, what
     earth = json.loads((only_site(site(EXACT)) / "surface" / "earth.json").read_text())["root"]["transform"]
     assert np.linalg.norm(earth[12:15]) == pytest.approx(6.375e6, rel=1e-3)
     assert not (only_site(site(CELL)) / "surface" / "earth.json").exists()
+
+
+def test_a_film_goes_along_as_it_was_and_one_that_may_tell_more_stays(
+    site: Callable[[str], Path], told: Path, tmp_path: Path
+) -> None:
+    film = only_site(site(CELL)) / "film.mp4"
+    assert "film" in json.loads((film.parent / "item.json").read_text())["assets"]
+    shown, rendered = ([*_frames(path)] for path in (film, told / "presentation" / "film.mp4"))
+    assert len(shown) == 10 and np.array_equal(shown, rendered)
+    (tmp_path / "presentation").mkdir()
+    sound = film.read_bytes()
+    for spoiled in (sound.replace(b"vide", b"soun"), sound[:-20], b"", b"RIFF    AVI LIST"):
+        (tmp_path / "presentation" / "film.mp4").write_bytes(spoiled)
+        reporter = Reporter()
+        assert page.film(tmp_path, tmp_path, reporter) is None and not (tmp_path / "film.mp4").exists()
+        assert "film.mp4 is left out" in reporter.warnings[0]
+
+
+def _frames(path: Path) -> Iterator[np.ndarray]:
+    film = cv2.VideoCapture(str(path))
+    while True:
+        more, frame = film.read()
+        if not more:
+            return
+        yield frame
 
 
 def test_all_places_of_a_cell_are_shown_alike() -> None:
@@ -279,6 +323,7 @@ def test_a_visitor_finds_turns_and_measures_the_site(site: Callable[[str], Path]
     metres = float(found["measured"].split()[1])
     assert metres == pytest.approx(np.linalg.norm(np.subtract(*places)), rel=0.01), found["measured"]
     assert found["again"].split()[1] == found["measured"].split()[1]
+    assert found["film"] == 64  # pixels wide: it plays
     assert found["note"].startswith("<script>alert(1)</script>") and found["wide"] <= 390
     sent = [path for path, _ in fetched]
     first = sent.index(f"/sites/{identity}/index.html", sent.index("/index.html") + 1)

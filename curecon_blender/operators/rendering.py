@@ -121,6 +121,10 @@ class RenderSeries:
     def _begin(self, context: bpy.types.Context) -> set[str]:
         self._start(context)
         self._cancelled = False
+        render_scene.spare_the_window(self._stage)
+        # A window that draws a render at work waits for it, for many seconds at a time.
+        self._display = context.preferences.view.render_display_type
+        self._show_renders(context, "NONE")
         bpy.app.handlers.render_cancel.append(self._on_cancel)
         self._timer = context.window_manager.event_timer_add(POLL_SECONDS, window=context.window)
         context.window_manager.modal_handler_add(self)
@@ -134,7 +138,10 @@ class RenderSeries:
             render_scene.check(stage, self._queue[self._checked])
             self._checked += 1
         if progress.done == len(self._queue):
-            return self._finish(context)
+            ended = self._finish(context)
+            if self.sheet is not None:
+                pictures.show_finished(context, self.sheet)
+            return ended
         shot = self._queue[progress.done]
         render_scene.set_up(stage, shot)
         # A render that another one holds up is asked for again at the next tick.
@@ -169,8 +176,6 @@ class RenderSeries:
     def _finish(self, context: bpy.types.Context) -> set[str]:
         self._close(context)
         self.report({"INFO"}, self.done(bpy.data.scenes[self._scene_name], self._folder))
-        if self.sheet is not None:
-            pictures.replace_render(context, self.sheet)
         return {"FINISHED"}
 
     def _close(self, context: bpy.types.Context) -> None:
@@ -179,9 +184,15 @@ class RenderSeries:
             context.window_manager.event_timer_remove(self._timer)
             self._timer = None
             bpy.app.handlers.render_cancel.remove(self._on_cancel)
+            self._show_renders(context, self._display)
             running.redraw_panels(context)
         if (stage := render_scene.find()) is not None:
             render_scene.remove(stage)
+
+    def _show_renders(self, context: bpy.types.Context, where: str) -> None:
+        preferences = context.preferences
+        changed = preferences.is_dirty  # by the user
+        preferences.view.render_display_type, preferences.is_dirty = where, changed
 
     def _on_cancel(self, *_: object) -> None:
         self._cancelled = True

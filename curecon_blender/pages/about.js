@@ -82,6 +82,9 @@ export function about(site, panel, opened) {
       parts.push(link);
     }
   }
+  if (site.film) {
+    parts.push(element("h2", say("film")), element("video", "", { src: site.film, controls: "", playsinline: "", preload: "none", poster: "thumbnail.jpg" }));
+  }
   const keys = element("p");
   keys.append(element("kbd", "← → ↑ ↓"), ` ${say("keysSaid")}`);
   parts.push(element("h2", say("keys")), keys);

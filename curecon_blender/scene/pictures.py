@@ -23,16 +23,14 @@ def show(context: bpy.types.Context, path: Path) -> None:
     _image_editor(context).image = picture
 
 
-def replace_render(context: bpy.types.Context, path: Path) -> None:
-    """Show a picture where the last render is seen, in whichever windows that is."""
+def show_finished(context: bpy.types.Context, path: Path) -> None:
+    """Show what was rendered where an earlier render is seen, else in an Image Editor or a window of its own."""
     seen = [area.spaces.active for window in context.window_manager.windows for area in window.screen.areas
             if area.type == "IMAGE_EDITOR" and area.spaces.active.image is not None
             and area.spaces.active.image.type == "RENDER_RESULT"]
-    if not seen:
-        return
     picture = bpy.data.images.load(str(path), check_existing=True)
     picture.reload()  # an earlier one may have been of the same name
-    for editor in seen:
+    for editor in seen or [_image_editor(context)]:
         editor.image = picture
 
 

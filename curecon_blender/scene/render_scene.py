@@ -228,6 +228,13 @@ def set_up(stage: bpy.types.Scene, shot: Shot) -> None:
         settings.color_depth = "8"
 
 
+def spare_the_window(stage: bpy.types.Scene) -> None:
+    """Leave a processor to the window, where the user has not said how many may render."""
+    if stage.render.threads_mode == "AUTO":
+        processors = stage.render.threads  # Blender's count, in this mode
+        stage.render.threads_mode, stage.render.threads = "FIXED", max(processors - 1, 1)
+
+
 def check(stage: bpy.types.Scene, shot: Shot) -> None:
     """Make sure that a shot is what was asked for: by its camera, of its size or length. Raises RenderError."""
     remedy = "Check the disk's free space and the folder's permissions, and switch off add-ons that change renders."

@@ -51,6 +51,30 @@ def check_figures(folder: Path) -> None:
     assert all(math.isfinite(value) for value in found.values())
 
 
+def make_film(folder: Path) -> None:
+    import cv2
+    import numpy as np
+
+    writer = cv2.VideoWriter(str(folder / "film.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), 5, (64, 48))
+    for shade in (50, 200):
+        writer.write(np.full((48, 64, 3), shade, np.uint8))
+    writer.release()
+
+
+def film_cases(folder: Path) -> st.SearchStrategy[tuple[str, bytes]]:
+    return st.tuples(st.just("film.mp4"), spoiled_bytes((folder / "film.mp4").read_bytes()))
+
+
+def check_film(folder: Path) -> None:
+    from curecon_blender.core.publish.film import without_metadata
+
+    film = (folder / "film.mp4").read_bytes()
+    try:
+        assert len(without_metadata(film)) == len(film)
+    except ValueError:  # told as a warning
+        return
+
+
 def check_catalogue(folder: Path) -> None:
     from curecon_blender.core.base.messages import Reporter
     from curecon_blender.core.publish.folder import write_catalogue

@@ -34,7 +34,7 @@ from .geometry_targets import (
 from .model_targets import check_weights, make_model, make_weights, model_cases, model_reader, weights_cases
 from .photo_targets import check_picture, make_picture, picture_cases
 from .publish_targets import cases as publish_cases
-from .publish_targets import check_catalogue, check_figures, check_notes
+from .publish_targets import check_catalogue, check_figures, check_film, check_notes, film_cases, make_film
 from .publish_targets import make as make_published
 from .result_targets import make_results, result_cases, result_reader
 from .target import Target
@@ -91,5 +91,6 @@ TARGETS = {
     "weights": Target(make_weights, weights_cases, check_weights),
     "notes": Target(make_published, publish_cases("notes.json"), check_notes),
     "figures": Target(make_published, publish_cases("report.json"), check_figures),
+    "film": Target(make_film, film_cases, check_film),
     "catalogue": Target(make_published, publish_cases("sites/gate/item.json"), check_catalogue),
 }

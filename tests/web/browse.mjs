@@ -112,6 +112,12 @@ async function onSite() {
   await page.click("#about");
   found.about = await text(page, "#panel");
   await picture(page, "about");
+  found.film = await page.evaluate(async () => {
+    const film = document.querySelector("#panel video");
+    film.muted = true;
+    await film.play();
+    return film.videoWidth;
+  });
   if (await page.locator("#pins button").count()) {
     await page.click("#about");
     await page.locator("#pins button").first().click();

@@ -17,6 +17,7 @@ import bpy
 
 Wait = Iterator[float]
 STEP = 14  # pixels between two places where a button or header is looked for; both are 20 high
+SCROLLS, WHEEL = 3, 8  # how often the sidebar is scrolled, and by how many notches
 FOLDING = 0.4  # seconds in which a panel folds, and heeds nothing
 
 
@@ -137,7 +138,22 @@ class Person:
         return range(region.y + region.height - 6, region.y, -STEP)
 
     def header(self, panel: str) -> Iterator[float]:
-        """Returns the place of the panel's header: where a click folds and unfolds it."""
+        """Returns the place of the panel's header: where a click folds and unfolds it. Turns the wheel where it lies
+        below what is seen."""
+        for _ in range(SCROLLS):
+            if place := (yield from self._header_in_sight(panel)):
+                return place
+            yield from self._turn_wheel("WHEELDOWNMOUSE")
+        raise LookupError(f"the sidebar shows no header of {panel}")
+
+    def _turn_wheel(self, way: str) -> Wait:
+        region = self.region("UI")
+        for _ in range(WHEEL):
+            yield from self.press(way, region.x + 60, region.y + region.height // 2)
+        yield FOLDING
+
+    def _header_in_sight(self, panel: str) -> Iterator[float]:
+        """Returns its place, or None."""
         x = self.region("UI").x + 60
         before = yield from self.open_panels()
         for y in self._rows():
@@ -156,10 +172,11 @@ class Person:
                         break
                 if panel in toggled and toggled <= {panel, *_children(panel)}:
                     return x, y
-        raise LookupError(f"the sidebar shows no header of {panel}")
+        return None
 
     def open_only(self, panel: str) -> Wait:
         """Ctrl-click the header, which folds all others away."""
+        yield from self._turn_wheel("WHEELUPMOUSE")
         x, y = yield from self.header(panel)
         for _ in range(2):
             yield from self.click(x, y, ctrl=True)

@@ -23,6 +23,7 @@ from ..base.options import EXACT
 from ..base.reading import read_json
 from ..deliver.ortho import CloudView, Grid, MeshView
 from ..report.write import FOLDER as REPORT
+from .film import LARGEST, without_metadata
 from .levels import Level
 
 _THUMBNAIL = (640, 400)
@@ -30,6 +31,7 @@ _TOWARDS = np.array([0.45, -0.75, 0.55])  # the thumbnail's viewer: from the sou
 _GROUND = (231, 235, 240)
 _PICTURE, _QUALITY = 2400, 85  # longest side in pixels, JPEG
 _MOST_PICTURES = 40
+_FILM = "film.mp4"
 # Renders of the site without any writing on them; sheets say when photos were taken.
 _STILLS, _ALL = ("still_*.png",), ("*.png", "*.jpg", "*.jpeg")
 # Where report.json has what the page tells: nothing in these figures says where, when or by whom.
@@ -99,6 +101,25 @@ def pictures(workspace: Path, location: str, folder: Path, reporter: Reporter) -
         write_picture(folder / name, picture)
         made.append(name)
     return made
+
+
+def film(workspace: Path, folder: Path, reporter: Reporter) -> str | None:
+    """The presentation's film without its metadata, relative to the site's folder; None where there is none that can be
+    shown. Raises WorkspaceError."""
+    source = workspace / PRESENTATION / _FILM
+    try:
+        size = source.stat().st_size
+        if size > LARGEST:
+            raise ValueError(f"it has {size / 1e6:.0f} MB, more than {LARGEST / 1e6:.0f}")
+        shown = without_metadata(source.read_bytes())
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as error:
+        reporter.warning(Text("The film {} is left out ({}).", source, Text(str(error))))
+        return None
+    with atomic_write(folder / _FILM) as file:
+        file.write(shown)
+    return _FILM
 
 
 def report(workspace: Path, location: str, folder: Path) -> str | None:

@@ -98,6 +98,7 @@ def write_site(source: Source, about: About, folder: Path, reporter: Reporter) -
         "box": np.round([low, high], 3).tolist(), "surface": surface, "cloud": cloud, "figures": known,
         "notes": [asdict(note) for note in about.notes],
         "pictures": page.pictures(source.workspace, about.location, folder, reporter),
+        "film": page.film(source.workspace, folder, reporter),
         "report": page.report(source.workspace, about.location, folder),
     }
     write_json(folder / "site.json", record)
@@ -179,6 +180,8 @@ def _assets(record: dict[str, Any]) -> dict[str, tuple[str, str, list[str]]]:
     for name in ("surface", "cloud"):
         if record[name]:
             assets[name] = (f"./{record[name]['tileset']}", "application/json", ["data"])
+    if record["film"]:
+        assets["film"] = (f"./{record['film']}", "video/mp4", ["overview"])
     if record["report"]:
         assets["report"] = (f"./{record['report']}", "application/pdf", ["metadata"])
     return assets
