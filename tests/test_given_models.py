@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 import pytest
+from scipy.spatial.transform import Rotation
 from test_georeference import SITE, looking_at, make_photos, orbit
 
 from curecon_blender.core.adjust.adjust import adjust_cameras
@@ -18,6 +19,7 @@ from curecon_blender.core.base.geodesy import enu_from_ecef, geodetic_to_enu
 from curecon_blender.core.base.messages import Reporter
 from curecon_blender.core.base.options import Options
 from curecon_blender.core.base.records import Frame, PhotoSet
+from curecon_blender.core.depth.estimate import recentred
 from curecon_blender.core.site import adjustment as adjustments
 from curecon_blender.core.sparse import find_cameras
 from curecon_blender.core.sparse.record import read_frame
@@ -122,6 +124,20 @@ class TestFarOffCoordinates:
         model, frame, _ = bring_in(written(given, tmp_path / "model"), photos_of(), tmp_path / "job")
         assert frame.shift is None
         assert (centres_of(model) == expected).all()
+
+    def test_the_network_is_given_the_same_cameras_to_the_bit(self) -> None:
+        def pose_of(centre: np.ndarray, shift: np.ndarray) -> np.ndarray:
+            """As a model holds it whose coordinates count from elsewhere, and then without that shift."""
+            return np.column_stack([rotation, -rotation @ (centre + shift) + rotation @ shift])
+
+        random = np.random.default_rng(0)
+        for _ in range(200):
+            rotation = Rotation.from_rotvec(random.normal(size=3)).as_matrix()
+            reference, source = random.normal(scale=20, size=(2, 3))
+            near, far = (recentred(pose_of(source, shift), reference) for shift in (np.zeros(3), UTM))
+            assert np.array_equal(near.astype(np.float32), far.astype(np.float32))
+            exact = rotation @ (reference - source)
+            assert np.abs(near[:, 3] - exact).max() < 1e-6 * np.linalg.norm(exact)
 
     def test_the_shift_goes_along_while_it_holds(self) -> None:
         frame = Frame(scale="unknown", up="given", shift=(505_246.0, 2_727_214.0, 423.0))

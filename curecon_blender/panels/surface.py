@@ -27,7 +27,7 @@ class CURECON_PT_surface(Panel, bpy.types.Panel):
         layout, properties, status = self.layout, context.scene.curecon, running.status
         result, found = properties.result, surfaces_of(context.scene)
         if found:
-            self._draw_state(result)
+            self._draw_state(context, result)
         else:
             paragraph(layout, context, "None yet. A mesh closes the cloud to a surface; the texture paints it with "
                       "the photos.")
@@ -50,7 +50,7 @@ class CURECON_PT_surface(Panel, bpy.types.Panel):
                 row.operator_menu_enum("curecon.detail", "level", text=LEVEL_NAMES[properties.shown_detail or "full"])
             layout.operator("curecon.export_surface", icon="EXPORT")
 
-    def _draw_state(self, result: bpy.types.PropertyGroup) -> None:
+    def _draw_state(self, context: bpy.types.Context, result: bpy.types.PropertyGroup) -> None:
         column = self.layout.box().column(align=True)
         column.label(text=counted(result.faces, "{:,} face", "{:,} faces"), icon="MESH_DATA", translate=False)
         column.label(text="Painted with the photos" if result.textured else "Colours at the vertices only",
@@ -59,13 +59,13 @@ class CURECON_PT_surface(Panel, bpy.types.Panel):
             filled = iface_("{:.1f} % filled: no photo measured it").format(result.filled)
         else:
             filled = iface_("All of it measured")
-        column.label(text=filled, icon="OVERLAY", translate=False)
+        paragraph(column, context, filled, icon="OVERLAY")
         if result.weak >= 0.05:
             weak = iface_("{:.1f} % weak: one photo alone measured it").format(result.weak)
-            column.label(text=weak, icon="OVERLAY", translate=False)
+            paragraph(column, context, weak, icon="OVERLAY")
         if result.unseen >= 0.05:
             unseen = iface_("{:.1f} % unseen: no photo shows its colour").format(result.unseen)
-            column.label(text=unseen, icon="HIDE_ON", translate=False)
+            paragraph(column, context, unseen, icon="HIDE_ON")
 
     def _draw_actions(self, result: bpy.types.PropertyGroup, found: bool) -> None:
         """The next action first and large."""

@@ -27,6 +27,7 @@ from .tiles import Tile, TilePlan, kept_part, memory_budget, plan_tiles
 RELEASE_EVERY = 16  # photos: what lies between the features that are kept would else add up, a few MB a photo
 FEATURES_KEPT = 2  # times a photo and its sources: so many photos' features are kept
 SURE, UNSURE = 0.9, 0.5  # confidence
+STEP = 2.0**-20  # of a source's distance
 REACH = 1.2  # times the farthest reliable depth: no unsure pixel lies beyond; the margin that depth_range gives
 
 
@@ -98,7 +99,7 @@ class DepthEstimator:
     def coarse_hypotheses(self, view: View, sources: list[View]) -> int:
         """How many hypotheses the coarsest level sweeps for a view, the same in all its tiles."""
         K = _batch(np.stack([v.K for v in (view, *sources)]))
-        poses = _batch(np.stack([_recentred(v.cam_from_world, view.centre) for v in (view, *sources)]))
+        poses = _batch(np.stack([recentred(v.cam_from_world, view.centre) for v in (view, *sources)]))
         near, far = torch.tensor([view.near]), torch.tensor([view.far])
         return self._network.coarse_hypotheses(K, poses, near, far, (view.width, view.height))
 
@@ -114,7 +115,7 @@ class DepthEstimator:
         features = [self._features_of(v, region, whole) for v, region in crops]
         K = np.stack([_shifted(v.K, region) for v, region in crops])
         # Poses relative to the reference's centre keep float32 exact, wherever the site's origin is.
-        poses = np.stack([_recentred(v.cam_from_world, view.centre) for v, _ in crops])
+        poses = np.stack([recentred(v.cam_from_world, view.centre) for v, _ in crops])
         near, far = (torch.tensor([d], dtype=torch.float32, device=self.device) for d in (view.near, view.far))
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.dtype == torch.bfloat16):
             geometry = Geometry(_batch(K).to(self.device), _batch(poses).to(self.device), near, far,
@@ -182,9 +183,16 @@ def _shifted(K: np.ndarray, region: Tile) -> np.ndarray:
     return shifted
 
 
-def _recentred(cam_from_world: np.ndarray, origin: np.ndarray) -> np.ndarray:
+def recentred(cam_from_world: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    """A pose (3,4) whose world begins at `origin` (3,), in steps of STEP of how far off the camera is. Coordinates of a
+    grid or of the Earth are rounded by nanometres; in float32 that is another number now and then, from which bf16
+    makes other depths. In these steps, a hundredth of a pixel at most, the same cameras give the same depth maps."""
     rotation = cam_from_world[:, :3]
-    return np.column_stack([rotation, cam_from_world[:, 3] + rotation @ origin])
+    translation = cam_from_world[:, 3] + rotation @ origin
+    if far := float(np.linalg.norm(translation)):
+        step = STEP * 2.0 ** np.ceil(np.log2(far))
+        translation = step * np.rint(translation / step)
+    return np.column_stack([rotation, translation])
 
 
 def unfinished(components: list[Component], workspace: Path, key: str) -> list[tuple[View, dict[str, View]]]:
