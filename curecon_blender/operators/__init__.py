@@ -17,6 +17,7 @@ from . import (
     deliver,
     export_cloud,
     export_surface,
+    find_gaps,
     frame_ground,
     frame_level,
     frame_north,
@@ -52,7 +53,8 @@ CLASSES: tuple[type, ...] = (
     *frame_scale.CLASSES, *frame_level.CLASSES, *frame_north.CLASSES, *frame_ground.CLASSES, *frame_reset.CLASSES,
     *frame_position.CLASSES, *measure.CLASSES,
     *control_points.CLASSES, *mark_points.CLASSES,
-    *plan_flight.CLASSES, *take_frames.CLASSES, *cloud_points.CLASSES, *self_check.CLASSES, *libraries.CLASSES,
+    *plan_flight.CLASSES, *find_gaps.CLASSES, *take_frames.CLASSES, *cloud_points.CLASSES, *self_check.CLASSES,
+    *libraries.CLASSES,
 )
 
 

@@ -36,6 +36,7 @@ STAGE_NAMES = {
     "laz": "LAZ Cloud", "copc": "COPC Cloud", "e57": "E57 Cloud", "orthomosaic": "Orthomosaic", "dsm": "Surface Model",
     "facades": "Façades", "contours": "Contours", "sections": "Sections",
     "levels": "Levels of Detail", "tiles": "Tiles", "cloud": "Point cloud", "pages": "Web Pages",
+    "gaps": "Gaps",
 }
 
 status = Status()

@@ -61,9 +61,9 @@ def building_of(scene: bpy.types.Scene) -> tuple[Building, float]:
     return site.of_outline(places[:, :2], float(np.ptp(places[:, 2])), court=court, origin=origin), ground
 
 
-def remove(scene: bpy.types.Scene) -> None:
-    """Take out what an earlier plan drew."""
-    for collection in [item for item in scene.collection.children if PLAN_KEY in item]:
+def remove(scene: bpy.types.Scene, key: str = PLAN_KEY) -> None:
+    """Take out what an earlier plan drew, or another that marks its collection with a key."""
+    for collection in [item for item in scene.collection.children if key in item]:
         for item in list(collection.all_objects):
             data = item.data
             bpy.data.objects.remove(item)
@@ -195,19 +195,25 @@ def _matrices(places: np.ndarray, headings: np.ndarray, pitches: np.ndarray) -> 
 
 def _coverage(parts: coverage.Parts, seen: coverage.Seen, ground: float) -> bpy.types.Object:
     """A small square on each part of the building, from red (too few photos) by yellow to green (many)."""
-    side = np.cross(parts.normals, np.where(np.abs(parts.normals[:, 2:]) > 0.5, [[1.0, 0, 0]], [[0, 0, 1.0]]))
-    other = np.cross(parts.normals, side)
-    half = 0.42 * coverage.SPACING
-    middle = parts.places + [0, 0, ground] + 0.05 * parts.normals
-    square = ((-1, -1), (1, -1), (1, 1), (-1, 1))
-    corners = np.stack([middle + half * (a * side + b * other) for a, b in square], axis=1)
-    data = bpy.data.meshes.new("Coverage")
-    data.from_pydata(corners.reshape(-1, 3).tolist(), [], np.arange(4 * len(middle)).reshape(-1, 4).tolist())
     share = np.clip((seen.photos - FEW) / (MANY - FEW), 0, 1)
     colours = np.stack([np.clip(2 - 2 * share, 0, 1), np.clip(2 * share, 0, 1), np.zeros(len(share)),
                         np.ones(len(share))], axis=1)
+    lifted = coverage.Parts(parts.places + [0, 0, ground] + 0.05 * parts.normals, parts.normals)
+    return squares("Coverage", lifted, np.full(len(share), coverage.SPACING), colours)
+
+
+def squares(name: str, parts: coverage.Parts, sides: np.ndarray, colours: np.ndarray) -> bpy.types.Object:
+    """A square of a side (N,) on each part, a little smaller so that they stand apart, in colours (N,4) sRGB."""
+    side = np.cross(parts.normals, np.where(np.abs(parts.normals[:, 2:]) > 0.5, [[1.0, 0, 0]], [[0, 0, 1.0]]))
+    side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-9)
+    other = np.cross(parts.normals, side)
+    half = 0.42 * sides[:, None]
+    square = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+    corners = np.stack([parts.places + half * (a * side + b * other) for a, b in square], axis=1)
+    data = bpy.data.meshes.new(name)
+    data.from_pydata(corners.reshape(-1, 3).tolist(), [], np.arange(4 * len(corners)).reshape(-1, 4).tolist())
     layer = data.color_attributes.new("photos", "BYTE_COLOR", "POINT")
     layer.data.foreach_set("color_srgb", np.repeat(colours, 4, axis=0).astype(np.float32).ravel())
-    item = bpy.data.objects.new("Coverage", data)
+    item = bpy.data.objects.new(name, data)
     item.hide_render = True
     return item

@@ -181,3 +181,22 @@ def check_precision(folder: Path) -> None:
         assert np.isfinite(found.datum_sigmas).all()
         sigmas = SparsePrecision(folder, (some_view(),)).sigmas(np.zeros((1, 3)), np.ones(1), np.ones(1))
         assert np.isfinite(sigmas).all()
+
+
+def make_patches(folder: Path) -> None:
+    from curecon_blender.core.plan.coverage import ENOUGH, Parts, Seen
+    from curecon_blender.core.plan.patches import Judged, Patches, write_patches
+
+    rng = np.random.default_rng(1)
+    parts = Parts(rng.random((9, 3)), rng.random((9, 3)))
+    patches = Patches(parts, rng.random(9), np.zeros(9, np.uint8))
+    seen = Seen(np.full(9, 2), rng.random(9), rng.random(9))
+    judged = Judged(patches, seen, np.zeros((9, ENOUGH, 3)), np.ones(9, np.uint8), 9.0)
+    write_patches(folder / "gaps.ply", judged, parts)
+
+
+def check_patches(folder: Path) -> None:
+    from curecon_blender.core.plan.patches import read_patches
+
+    kept = read_patches(folder / "gaps.ply")
+    assert np.isfinite(kept.parts.places).all() and np.isfinite(kept.areas).all()

@@ -4,18 +4,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Protocol
 
 import numpy as np
 
 from .drones import Drone
-from .obstacles import Heights, inside
+from .obstacles import inside
 from .outlines import area
 from .records import Building, Plan
 
 SPACING = 1.0  # metres between the parts that are looked at
 MOST_SLANT = 60.0  # degrees between a photo's ray and the surface's normal, beyond which it measures badly
 ENOUGH = 3  # photos
+LEAST_ANGLE = 5.0  # degrees between two photos of a place
 _CHUNK = 400_000  # pairs of part and photo at once
 
 
@@ -25,6 +27,32 @@ class Parts:
 
     places: np.ndarray
     normals: np.ndarray
+
+
+@dataclass(frozen=True)
+class Eyes:
+    """Cameras: `centres` (M,3); `turns` (M,3,3), whose rows are right, down and forward; focal lengths (M,), principal
+    points (M,2) and sizes (M,2) of the pictures in pixels."""
+
+    centres: np.ndarray
+    turns: np.ndarray
+    focals: np.ndarray
+    middles: np.ndarray
+    sizes: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.centres)
+
+    def take(self, which: np.ndarray) -> Eyes:
+        """Those that `which` names."""
+        return Eyes(*(getattr(self, field.name)[which] for field in fields(self)))
+
+
+class Sight(Protocol):
+    """What may stand between an eye and what it looks at."""
+
+    def hidden(self, eyes: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """Whether (N,) something stands between each eye (N,3) and its place (N,3)."""
 
 
 @dataclass(frozen=True)
@@ -38,8 +66,8 @@ class Seen:
 
     @property
     def share(self) -> float:
-        """The share of the parts that enough photos see, from directions 5 degrees apart or more."""
-        return float(((self.photos >= ENOUGH) & (self.angle >= 5)).mean())
+        """The share of the parts that enough photos see, two of them LEAST_ANGLE apart or more."""
+        return float(((self.photos >= ENOUGH) & (self.angle >= LEAST_ANGLE)).mean())
 
 
     @property
@@ -78,39 +106,51 @@ def parts_of(building: Building) -> Parts:
     return Parts(np.concatenate(places), np.concatenate(normals))
 
 
-def seen(parts: Parts, eyes: np.ndarray, headings: np.ndarray, pitches: np.ndarray, drone: Drone,
-         obstacles: Heights) -> Seen:
-    """What photos from `eyes` (M,3) see of the parts: within the picture, less than MOST_SLANT off the normal, and not
-    behind anything."""
-    count = len(parts.places)
-    photos, pixel = np.zeros(count, int), np.full(count, np.inf)
-    # The angle between two directions is largest for the two extreme ones; of each part the first is kept, then the
-    # one farthest from it, and from that again.
-    right, down, forward = axes(headings, pitches)
-    pairs_of: list[np.ndarray] = []
-    for begin in range(0, count, max(1, _CHUNK // max(len(eyes), 1))):
-        part = slice(begin, begin + max(1, _CHUNK // max(len(eyes), 1)))
-        ray = parts.places[part, None] - eyes
+def sightings(parts: Parts, eyes: Eyes, obstacles: Sight) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Part (K,), photo (K,) and z-depth (K,) in metres, wherever a photo sees a part: within the picture, less than
+    MOST_SLANT off the normal, and not behind anything."""
+    found: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+    step = max(1, _CHUNK // max(len(eyes), 1))
+    for begin in range(0, len(parts.places), step):
+        part = slice(begin, begin + step)
+        ray = parts.places[part, None] - eyes.centres
         distance = np.linalg.norm(ray, axis=2)
-        depth = np.einsum("nmk,mk->nm", ray, forward)
-        x = np.einsum("nmk,mk->nm", ray, right) / np.maximum(depth, 1e-6) * drone.focal_px
-        y = np.einsum("nmk,mk->nm", ray, down) / np.maximum(depth, 1e-6) * drone.focal_px
+        right, down, depth = np.einsum("nmk,mak->anm", ray, eyes.turns)
+        far = np.maximum(depth, 1e-6)
         facing = -np.einsum("nmk,nk->nm", ray, parts.normals[part]) / np.maximum(distance, 1e-9)
-        good = (depth > 0.5) & (np.abs(x) < drone.picture[0] / 2) & (np.abs(y) < drone.picture[1] / 2)
-        good &= facing > np.cos(np.radians(MOST_SLANT))
+        good = (depth > 0.5) & (facing > np.cos(np.radians(MOST_SLANT)))
+        for axis, across in enumerate((right, down)):
+            pixel = across / far * eyes.focals + eyes.middles[:, axis]
+            good &= (pixel > 0) & (pixel < eyes.sizes[:, axis])
         n, m = np.nonzero(good)
-        clear = ~obstacles.hidden(eyes[m], parts.places[part][n] + 0.3 * parts.normals[part][n])
-        pairs_of.append(np.stack([n[clear] + begin, m[clear]]))
-        np.add.at(photos, n[clear] + begin, 1)
-        np.minimum.at(pixel, n[clear] + begin, drone.pixel_at(1.0) * depth[n[clear], m[clear]])
-    return Seen(photos, _widest(parts.places, eyes, np.concatenate(pairs_of, axis=1)), pixel)
+        clear = ~obstacles.hidden(eyes.centres[m], parts.places[part][n] + 0.3 * parts.normals[part][n])
+        found.append((n[clear] + begin, m[clear], depth[n[clear], m[clear]]))
+    n, m, depth = (np.concatenate(column) for column in zip(*found, strict=True))
+    return n, m, depth
+
+
+def seen(parts: Parts, eyes: Eyes, found: tuple[np.ndarray, np.ndarray, np.ndarray]) -> Seen:
+    """What photos see of the parts, of their `sightings`."""
+    n, m, depth = found
+    photos, pixel = np.zeros(len(parts.places), int), np.full(len(parts.places), np.inf)
+    np.add.at(photos, n, 1)
+    np.minimum.at(pixel, n, 1000 * depth / eyes.focals[m])
+    return Seen(photos, _widest(parts.places, eyes.centres, np.stack([n, m])), pixel)
 
 
 def of_plan(plan: Plan, parts: Parts) -> Seen:
     """What all photos of a plan see."""
-    return seen(parts, np.concatenate([leg.places for leg in plan.legs]),
-                np.concatenate([leg.headings for leg in plan.legs]),
-                np.concatenate([leg.pitches for leg in plan.legs]), plan.drone, plan.building.obstacles)
+    eyes = eyes_of(plan.drone, np.concatenate([leg.places for leg in plan.legs]),
+                   np.concatenate([leg.headings for leg in plan.legs]),
+                   np.concatenate([leg.pitches for leg in plan.legs]))
+    return seen(parts, eyes, sightings(parts, eyes, plan.building.obstacles))
+
+
+def eyes_of(drone: Drone, places: np.ndarray, headings: np.ndarray, pitches: np.ndarray) -> Eyes:
+    """A drone's camera at places (M,3), with headings and pitches (M,) in degrees."""
+    count, size = len(places), np.array(drone.picture, float)
+    return Eyes(places, np.stack(axes(headings, pitches), axis=1), np.full(count, drone.focal_px),
+                np.tile(size / 2, (count, 1)), np.tile(size, (count, 1)))
 
 
 def axes(headings: np.ndarray, pitches: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

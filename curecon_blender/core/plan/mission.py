@@ -96,14 +96,21 @@ def plan(kind: str, building: Building, drone: Drone, wishes: Wishes) -> Plan:
     for leg in coarse:
         notes.append(f"{leg.name}: a pixel covers {drone.pixel_at(leg.distance):.0f} mm there, since the drone cannot "
                      "come nearer.")
+    return of_legs(kind, legs, building, drone, wishes, notes)
+
+
+def of_legs(kind: str, legs: list[Leg], building: Building, drone: Drone, wishes: Wishes, notes: list[str]) -> Plan:
+    """The plan that flies legs whose photos are taken clear of everything, as they are.
+
+    Raises PlanError where a battery does not reach.
+    """
     if wishes.takeoff[2]:
         notes.append(f"Heights in the files count from take-off, which lies {abs(wishes.takeoff[2]):.1f} m "
                      f"{'above' if wishes.takeoff[2] > 0 else 'below'} the ground at the building.")
     else:
         notes.append("Heights in the files count from take-off. Take off from ground as high as the building's.")
-    flights = _flights(legs, building, drone, wishes)
-    return Plan(kind=kind, drone=drone, building=building, wishes=wishes, legs=tuple(legs), flights=flights,
-                speed=SPEED, notes=tuple(notes))
+    return Plan(kind=kind, drone=drone, building=building, wishes=wishes, legs=tuple(legs),
+                flights=_flights(legs, building, drone, wishes), speed=SPEED, notes=tuple(notes))
 
 
 def _check(building: Building, wishes: Wishes) -> None:

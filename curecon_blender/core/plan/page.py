@@ -48,6 +48,7 @@ pixel.</p>
 <table><tr><th>flight</th><th class=n>photos</th><th class=n>waypoints</th><th class=n>way</th>
 <th class=n>time</th></tr>
 {flights}</table>
+{_words(plan)}
 <h2>Before take-off</h2>
 <ul>{notes}
 <li>Stay {wishes.clearance:.0f} m away from everything. The plan knows the building and what was measured, not wires,
@@ -67,6 +68,12 @@ def _leg_row(plan: Plan, n: int, leg: Leg) -> str:
             f"<td class=n>{len(leg)}</td><td class=n>{_span(heights, ' m')}</td>"
             f"<td class=n>{_camera(leg.pitches)}</td><td class=n>{leg.distance:.0f} m</td>"
             f"<td class=n>{apart}</td></tr>")
+
+
+def _words(plan: Plan) -> str:
+    """Where each photo is taken, in sentences, for legs that have them."""
+    told = "".join(f"<li>{escape(word)}</li>" for leg in plan.legs for word in leg.words)
+    return f"<h2>Photo by photo</h2>\n<ol>{told}</ol>" if told else ""
 
 
 def _camera(pitches: np.ndarray) -> str:

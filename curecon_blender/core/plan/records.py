@@ -32,13 +32,14 @@ class Building:
 @dataclass(frozen=True, kw_only=True)
 class Leg:
     """Photos of one kind in the order in which they are taken: `places` (N,3), `headings` (N,), `pitches` (N,), and
-    `distance` in metres to what they show."""
+    `distance` in metres to what they show. `words` say in a sentence where each is taken, where that was asked for."""
 
     name: str
     places: np.ndarray
     headings: np.ndarray
     pitches: np.ndarray
     distance: float
+    words: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.places)

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 # What is flown for a kind of building, and single forms (mission.py).
 KINDS = ("building", "tulou", "tower", "facade", "courtyard", "ruin", "grid", "crossed", "orbit", "helix")
 
+MOST_PHOTOS = 30  # that are asked for to close gaps
+
 
 @dataclass(frozen=True, kw_only=True)
 class Wishes:

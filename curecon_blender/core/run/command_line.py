@@ -20,6 +20,7 @@ from ..base.options import (
     EXPORT,
     FORMATS,
     FRAMES,
+    GAPS,
     LIBRARIES,
     LOCAL,
     LOCATIONS,
@@ -40,7 +41,7 @@ from ..base.options import (
 )
 from ..base.reading import FARTHEST
 from ..plan.drones import DRONES
-from ..plan.wishes import KINDS, Wishes
+from ..plan.wishes import KINDS, MOST_PHOTOS, Wishes
 
 if TYPE_CHECKING:
     from ..deliver.write import Choices
@@ -109,6 +110,7 @@ def parser() -> argparse.ArgumentParser:
     frames = command(FRAMES, "photos from the videos (MP4, MOV) in a folder, each into a folder beside it")
     frames.add_argument("photos", type=Path, help="folder with the videos")
     _plan(command(PLAN, "a flight for a building, before there are photos: page, DJI and Litchi missions, KML, GPX"))
+    _gaps(command(GAPS, "what of a finished site too few photos saw, and where to fly again"))
     _libraries(command(LIBRARIES, "bring the worker's libraries, as a lock names them, into a folder for PYTHONPATH"))
     _export_arguments(command(EXPORT, "the finished site in surveyors' formats"))
     _publish(command(PUBLISH, "the finished site as a folder of web pages, with a map of all sites in it"),
@@ -143,20 +145,34 @@ def _plan(plan: argparse.ArgumentParser) -> None:
     plan.add_argument("--height", type=_metres, help="of the building's highest part, metres")
     plan.add_argument("--eaves", type=_metres, help="height of its walls, metres")
     plan.add_argument("--name", default="", help="what the plan is called on the page")
-    for field, unit, text in (("pixel", "MM", "wanted millimetres a pixel on the building"),
-                              ("clearance", "METRES", "least distance to anything"),
-                              ("ceiling", "METRES", "greatest height above take-off")):
-        plan.add_argument(f"--{field}", type=_metres, default=getattr(Wishes, field), metavar=unit, help=text)
+    plan.add_argument("--pixel", type=_metres, default=Wishes.pixel, metavar="MM",
+                      help="wanted millimetres a pixel on the building")
+    _limits(plan)
     for field, text in (("forward", "the photo before"), ("side", "the neighbouring line")):
         plan.add_argument(f"--{field}", type=_percent, default=100 * getattr(Wishes, field), metavar="PERCENT",
                           help=f"overlap with {text}")
     plan.add_argument("--above", type=_metres, help="metres of grids above the building, in place of --pixel")
-    plan.add_argument("--takeoff", type=float, nargs=3, default=Wishes.takeoff, metavar=("EAST", "NORTH", "UP"),
-                      help="take-off, metres from the building's middle and above its ground")
     plan.add_argument("--camera", type=_metres, nargs=5, metavar=("W_MM", "H_MM", "FOCAL_MM", "W_PX", "H_PX"),
                       help="a camera that is not in the table")
     plan.add_argument("--minutes", type=_metres, help="of one battery, in place of the table's")
     plan.add_argument("--waypoints", type=int, help="that the flight app takes at once, in place of the table's")
+
+
+def _gaps(gaps: argparse.ArgumentParser) -> None:
+    gaps.add_argument("workspace", type=Path)
+    gaps.add_argument("--photos", type=int, choices=range(1, MOST_PHOTOS + 1), default=MOST_PHOTOS, metavar="COUNT",
+                      help=f"most photos to ask for, up to {MOST_PHOTOS} (default: %(default)s)")
+    gaps.add_argument("--drone", choices=sorted(DRONES), help="which drone flies (default: the photos' own camera)")
+    _limits(gaps)
+
+
+def _limits(command: argparse.ArgumentParser) -> None:
+    """What a flight must keep to."""
+    for field, text in (("clearance", "least distance to anything"),
+                        ("ceiling", "greatest height above take-off")):
+        command.add_argument(f"--{field}", type=_metres, default=getattr(Wishes, field), metavar="METRES", help=text)
+    command.add_argument("--takeoff", type=float, nargs=3, default=Wishes.takeoff, metavar=("EAST", "NORTH", "UP"),
+                         help="take-off, metres from the building's middle and above its ground")
 
 
 def _compare(compare: argparse.ArgumentParser) -> None:

@@ -5,13 +5,16 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from ..base.errors import PlanError
 from ..base.language import Text
 from ..base.messages import Reporter
-from ..base.records import GeoPosition
+from ..base.records import Component, GeoPosition
 from ..cloud.ply import read_cloud
 from ..plan import coverage, site
 from ..plan.drones import DRONES, Drone
@@ -19,6 +22,7 @@ from ..plan.mission import plan
 from ..plan.records import Building
 from ..plan.wishes import Wishes
 from ..plan.write import facts, write_plan
+from ..site import adjustment
 from ..views import record as views_record
 
 MOST_POINTS = 2_000_000  # of a cloud that obstacles are taken from
@@ -65,15 +69,39 @@ def _building(given: argparse.Namespace) -> Building:
 
 
 def _of_workspace(given: argparse.Namespace, origin: GeoPosition | None) -> Building:
-    component = views_record.read(given.workspace)[0]
-    if component.frame.scale != "metres":
+    ground = read_ground(given.workspace)
+    return site.of_points(ground.points, height=given.height, eaves=given.eaves, origin=ground.origin or origin)
+
+
+@dataclass(frozen=True)
+class Ground:
+    """A workspace's largest part as flights are planned for it: points (N,3) in metres, in the frame as the user put it
+    right by `matrix` (4,4), whose y is `north` and whose origin is known where that is."""
+
+    component: Component
+    points: np.ndarray
+    matrix: np.ndarray
+    north: bool
+    origin: GeoPosition | None
+
+
+def read_ground(workspace: Path) -> Ground:
+    """Raises PlanError where the scale is not known, WorkspaceError."""
+    component = views_record.with_clouds(workspace, views_record.read(workspace)[:1])[0]
+    measured = adjustment.read(workspace / component.sparse)
+    frame = adjustment.adjusted_frame(component.frame, measured)
+    if frame.scale != "metres":
         raise PlanError("This workspace's scale is not known, so no flight can be planned in metres.",
-                        remedy="Give a distance or control points first, or draw the outline.", path=given.workspace)
-    points = read_cloud(given.workspace / component.cloud).points.astype(float)
-    if component.frame.north and component.frame.origin is not None:
-        origin = component.frame.origin
-    return site.of_points(points[:: max(len(points) // MOST_POINTS, 1)], height=given.height, eaves=given.eaves,
-                          origin=origin)
+                        remedy="Give a distance or control points first, or draw the outline.", path=workspace)
+    points = read_cloud(workspace / component.cloud).points.astype(float)
+    points = moved(points[:: max(len(points) // MOST_POINTS, 1)], measured.matrix)
+    return Ground(component, points, measured.matrix, frame.north, frame.origin if frame.north else None)
+
+
+def moved(places: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """Places (N,3) by a matrix (4,4)."""
+    result: np.ndarray = places @ matrix[:3, :3].T + matrix[:3, 3]
+    return result
 
 
 def _drone(given: argparse.Namespace) -> Drone:

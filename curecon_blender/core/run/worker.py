@@ -25,7 +25,18 @@ from ..base import messages
 from ..base.errors import CuReconError, OutOfMemory, SetupError, ran_out_of_memory
 from ..base.language import Text
 from ..base.messages import Message, Reporter
-from ..base.options import COMPARE, CONTROL, EXPORT, FRAMES, LIBRARIES, PLAN, PUBLISH, TOKEN_VARIABLE, UPLOAD
+from ..base.options import (
+    COMPARE,
+    CONTROL,
+    EXPORT,
+    FRAMES,
+    GAPS,
+    LIBRARIES,
+    PLAN,
+    PUBLISH,
+    TOKEN_VARIABLE,
+    UPLOAD,
+)
 from .command_line import about_of, choices_of, options_of, parser
 
 NEEDED = ("numpy", "PIL", "pillow_heif", "psutil", "cv2", "safetensors", "scipy", "torch", "pycolmap", "xatlas",
@@ -105,6 +116,10 @@ def _run(options: argparse.Namespace, reporter: Reporter) -> dict[str, object]:
         from .plan import run_plan
 
         return run_plan(options, reporter)
+    if options.command == GAPS:
+        from .gaps import run_gaps
+
+        return run_gaps(options, reporter)
     if options.command == "check":
         return pipeline.check(options_of(options), options.thumbnails, reporter)
     if options.command == "report":
@@ -242,6 +257,8 @@ def _in_words(summary: dict[str, object]) -> str:
     """The few figures that a person wants at the end."""
     if "report" in summary:
         return "\n".join(dict(summary["report"]).values())  # type: ignore[call-overload]
+    if "gaps" in summary:
+        return "\n".join(photo["says"] for photo in summary["gaps"]["photos"])  # type: ignore[index]
     if "compare" in summary:
         return "\n".join(summary["files"])  # type: ignore[arg-type]
     if "deliverables" in summary:
