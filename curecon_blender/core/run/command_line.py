@@ -107,8 +107,8 @@ def parser() -> argparse.ArgumentParser:
     report.add_argument("--when", default="", help="the date of the record")
     report.add_argument("--language", default="", metavar="NAME", help="such as zh_HANS; default: English")
     report.add_argument("--font", type=Path, metavar="FILE", help="TTF, OTF or WOFF2, for letters that are not Latin")
-    frames = command(FRAMES, "photos from the videos (MP4, MOV) in a folder, each into a folder beside it")
-    frames.add_argument("photos", type=Path, help="folder with the videos")
+    command(FRAMES, "photos from the videos (MP4, MOV) in a folder, each into a folder beside it").add_argument(
+        "photos", type=Path, help="folder with the videos")
     _plan(command(PLAN, "a flight for a building, before there are photos: page, DJI and Litchi missions, KML, GPX"))
     _gaps(command(GAPS, "what of a finished site too few photos saw, and where to fly again"))
     _libraries(command(LIBRARIES, "bring the worker's libraries, as a lock names them, into a folder for PYTHONPATH"))

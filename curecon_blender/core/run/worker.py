@@ -112,14 +112,10 @@ def _run(options: argparse.Namespace, reporter: Reporter) -> dict[str, object]:
         reporter.begin({"photos": 1.0})
         reporter.stage("photos")
         return {"frames": take_frames(options.photos.absolute(), reporter), "warnings": reporter.warnings}
-    if options.command == PLAN:
-        from .plan import run_plan
+    if options.command in (PLAN, GAPS):
+        from . import gaps, plan
 
-        return run_plan(options, reporter)
-    if options.command == GAPS:
-        from .gaps import run_gaps
-
-        return run_gaps(options, reporter)
+        return (plan.run_plan if options.command == PLAN else gaps.run_gaps)(options, reporter)
     if options.command == "check":
         return pipeline.check(options_of(options), options.thumbnails, reporter)
     if options.command == "report":
