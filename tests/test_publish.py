@@ -256,10 +256,17 @@ def test_the_cloud_is_there_once(site: Callable[[str], Path], told: Path) -> Non
     assert np.abs(shown - cloud.colours[point]).mean() < 3
 
 
-def test_the_page_says_how_exact_the_site_is_or_that_nobody_knows(site: Callable[[str], Path]) -> None:
+def test_the_page_says_how_exact_the_site_is_or_that_nobody_knows(
+    site: Callable[[str], Path], told: Path
+) -> None:
     record = json.loads((only_site(site(CELL)) / "site.json").read_text())
     assert record["figures"] == {"pixel": 0.048, "reprojection": 0.32, "check": pytest.approx(0.13)}
     assert record["taken"] == "2024-09-28" and record["metres"] and record["title"] == TITLE
+    mesh = read_mesh(told / "textured" / "mesh.ply")
+    for mark in ("filled", "weak", "unseen"):
+        which = getattr(mesh, mark)
+        assert record["surface"][mark] == pytest.approx(mesh.areas[which].sum() / mesh.areas.sum() if which is not None
+                                                        else 0)
 
 
 def test_khronos_finds_nothing_wrong_with_any_tile(site: Callable[[str], Path]) -> None:

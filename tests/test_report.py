@@ -70,6 +70,8 @@ def test_the_report_tells_what_the_workspace_holds(
     assert np.array_equal(textured.filled, mesh.filled)
     assert part["authenticity"]["unseen"] == pytest.approx(
         textured.areas[textured.unseen].sum() / textured.areas.sum(), abs=1e-6)
+    assert part["authenticity"]["weak"] == pytest.approx(mesh.areas[mesh.weak].sum() / mesh.areas.sum(), abs=1e-6)
+    assert np.array_equal(textured.weak, mesh.weak) and not (mesh.weak & mesh.filled).any()
     assert 0.3 < part["integrity"]["seen_well"] <= 1
     assert part["correctness"]["metres"] and part["correctness"]["gps"]["count"] == len(photos)
     assert provenance["settings"]["quality"] and len(provenance["weights"]) == 64

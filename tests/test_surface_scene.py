@@ -30,6 +30,7 @@ from curecon_blender.core.surface.export import Provenance
 WEB = Path(__file__).parent / "web"
 MODULES = WEB.parent.parent / "web" / "node_modules"
 PATIENCE = 240  # seconds for the page on a busy computer
+WEAK, FILLED = 0, 3  # quarters
 QUARTERS = np.array([(200, 40, 30), (40, 180, 60), (50, 70, 200), (220, 200, 60)])
 ORIGIN = {"crs": "WGS84", "latitude": 24.5, "longitude": 117.25, "altitude": 310.0,
           "altitude_datum": "sea level"}
@@ -51,6 +52,23 @@ def glb_json(path: Path) -> dict[str, Any]:
     assert struct.unpack("<I", content[8:12])[0] == len(content)
     length = struct.unpack("<I", content[12:16])[0]
     return json.loads(content[20 : 20 + length])
+
+
+def primitives(path: Path) -> list[dict[str, np.ndarray]]:
+    """The attributes of a GLB's primitives, colours from 0 to 1."""
+    content, binary = glb_json(path), path.read_bytes()
+    start = 20 + struct.unpack("<I", binary[12:16])[0] + 8
+
+    def values(index: int) -> np.ndarray:
+        accessor = content["accessors"][index]
+        kind = {5121: np.uint8, 5123: np.uint16, 5126: np.float32}[accessor["componentType"]]
+        width = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}[accessor["type"]]
+        offset = start + content["bufferViews"][accessor["bufferView"]].get("byteOffset", 0)
+        rows = np.frombuffer(binary, kind, accessor["count"] * width, offset).reshape(-1, width)
+        return rows if kind is np.float32 else rows / np.iinfo(kind).max
+
+    return [{name: values(index) for name, index in primitive["attributes"].items()}
+            for mesh in content["meshes"] for primitive in mesh["primitives"]]
 
 
 def colours_of(mesh: trimesh.Trimesh) -> np.ndarray:
@@ -115,23 +133,23 @@ def test_a_glb_is_compressed_where_blender_can_and_else_whole(exports: Path) -> 
 
 
 def test_a_glb_without_a_texture_has_vertex_colours(exports: Path) -> None:
-    content, binary = glb_json(exports / "plain.glb"), (exports / "plain.glb").read_bytes()
-    start = 20 + struct.unpack("<I", binary[12:16])[0] + 8
-
-    def values(index: int) -> np.ndarray:
-        accessor = content["accessors"][index]
-        kind = {5121: np.uint8, 5123: np.uint16, 5126: np.float32}[accessor["componentType"]]
-        width = {"VEC3": 3, "VEC4": 4}[accessor["type"]]
-        offset = start + content["bufferViews"][accessor["bufferView"]].get("byteOffset", 0)
-        rows = np.frombuffer(binary, kind, accessor["count"] * width, offset).reshape(-1, width)
-        return rows if kind is np.float32 else rows / np.iinfo(kind).max
-
-    for primitive in content["meshes"][0]["primitives"]:
-        attributes = primitive["attributes"]
+    for attributes in primitives(exports / "plain.glb"):
         assert "COLOR_1" not in attributes and "TEXCOORD_0" not in attributes
-        places, linear = values(attributes["POSITION"]), values(attributes["COLOR_0"])[:, :3]
+        places, linear = attributes["POSITION"], attributes["COLOR_0"][:, :3]
         colours = 255 * np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
         assert np.abs(colours - QUARTERS[(places[:, 0] > 5) + 2 * (places[:, 2] < -5)]).max() < 1
+
+
+@pytest.mark.parametrize("name", ["plain", "textured", "pages"])
+def test_a_glb_says_of_each_corner_what_is_known_of_its_face(exports: Path, name: str) -> None:
+    found = set()
+    for attributes in primitives(exports / f"{name}.glb"):
+        x, y = attributes["POSITION"][:, 0], -attributes["POSITION"][:, 2]
+        (kind,) = np.unique(attributes["_KIND"])  # each is a primitive of its own
+        wanted = {0: ~(((x > 5) & (y > 5)) | ((x < 5) & (y < 5))), 1: (x <= 5) & (y <= 5), 2: (x >= 5) & (y >= 5)}
+        assert wanted[kind].all() and not attributes["_UNSEEN"].any()
+        found.add(kind)
+    assert found == {0, 1, 2}
 
 
 def test_a_glb_says_where_it_stands_and_whose_it_is(exports: Path) -> None:
@@ -141,7 +159,8 @@ def test_a_glb_says_where_it_stands_and_whose_it_is(exports: Path) -> None:
     assert node["extras"]["scale"] == "metres" and node["extras"]["north"] is True
     assert content["asset"]["copyright"] == "福建 Team and Co, CC BY 4.0"
     assert content["asset"]["extras"]["axes"].startswith("Y up")
-    assert sorted(material["extras"]["filled"] for material in content["materials"]) == [False, True]
+    for mark in ("filled", "weak"):
+        assert sorted(material["extras"][mark] for material in content["materials"]) == [False, False, True]
     for material in content["materials"]:  # matte, and with no light of its own to be added to the viewer's
         assert "emissiveTexture" not in material and not any(material.get("emissiveFactor", [0]))
         assert material["pbrMetallicRoughness"].get("roughnessFactor", 1) == 1
@@ -194,6 +213,9 @@ def test_a_ply_reads_back_with_its_marks(exports: Path, name: str) -> None:
     rows = mesh.metadata["_ply_raw"]["vertex"]["data"]
     x, y = np.asarray(rows["x"]).ravel(), np.asarray(rows["y"]).ravel()
     filled = (x > 5) & (y > 5)
+    # A vertex is what the least sure of its faces is.
+    assert np.array_equal(np.asarray(rows["_KIND"]).ravel(), np.where((x >= 5) & (y >= 5), 2, (x <= 5) & (y <= 5)))
+    assert not np.asarray(rows["_UNSEEN"]).any()
     assert np.array_equal(np.asarray(rows["views"]).ravel() == 0, filled)
     assert np.allclose(np.asarray(rows["distance"]).ravel(), np.where(filled, 0.5, 0.01))
     colours = np.stack([np.asarray(rows[c]).ravel() for c in ("red", "green", "blue")], axis=1).astype(int)
@@ -222,7 +244,7 @@ def test_a_glb_opens_in_a_browser(exports: Path, tmp_path: Path) -> None:
         np.testing.assert_allclose(found["size"], [10, 1, 10], atol=1e-5)
         assert np.abs(np.array(found["quarters"]) - QUARTERS).max() <= 3, found["quarters"]
         assert found["nodes"][0]["origin"] == ORIGIN and "CC BY 4.0" in found["asset"]["copyright"]
-        assert sorted(material["filled"] for material in found["materials"]) == [False, True]
+        assert sorted(material["filled"] for material in found["materials"]) == [False, False, True]
         assert {material["type"] for material in found["materials"]} == {"MeshBasicMaterial"}  # unlit
 
 

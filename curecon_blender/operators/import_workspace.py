@@ -15,7 +15,7 @@ import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import BoolProperty, StringProperty
 
-from ..scene import cameras, control, history, points, presentation, sidebar, surface, view, workspace
+from ..scene import cameras, control, history, marks, points, presentation, sidebar, surface, view, workspace
 from ..scene.surface import surfaces_of
 from ..scene.workspace import Imported, clouds_of
 from . import paths, running
@@ -64,7 +64,7 @@ def _show(
     properties.display_fraction = min(100.0, 100.0 * EASY_POINTS / max(imported.points, 1))
     cameras.show(scene, properties.show_cameras)
     properties.show_cloud, properties.show_surface = not imported.surfaces, True
-    surface.show_filled(scene, properties.show_filled)
+    marks.show(surfaces_of(scene), properties.shown_marks())
     surface.light(scene, properties.surface_light == "SCENE")
     if imported.surfaces:
         view.show_texture(context, textured=imported.textured)

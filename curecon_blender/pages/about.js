@@ -38,9 +38,10 @@ function figures(site) {
 }
 
 function marked(site) {
-  const said = [["filled", "filledSaid"], ["unseen", "unseenSaid"]].filter(([kind]) => site.surface[kind] > 0).map(([kind, word]) => {
+  const kinds = ["filled", "weak", "unseen"].filter((kind) => site.surface[kind] > 0);
+  const said = kinds.map((kind) => {
     const share = 100 * site.surface[kind];
-    return say(word, share < 0.1 ? "< 0.1" : share.toFixed(1));
+    return say(`${kind}Said`, share < 0.1 ? "< 0.1" : share.toFixed(1));
   });
   return said.length ? said.join(" ") : say("nothingFilled");
 }

@@ -41,6 +41,7 @@ class CURECON_PT_surface(Panel, bpy.types.Panel):
             row = layout.row(align=True)
             row.prop(properties, "show_surface", toggle=True, icon="MESH_DATA")
             row.prop(properties, "show_filled", toggle=True, icon="OVERLAY")
+            row.prop(properties, "show_weak", toggle=True, icon="OVERLAY")
             row = layout.row(align=True)
             row.label(text="Light")
             row.prop(properties, "surface_light", expand=True)

@@ -19,7 +19,7 @@ from bpy.props import (
 )
 
 from ..core.base.options import PRESETS
-from ..scene import cameras, surface, view, viewport
+from ..scene import cameras, marks, surface, view, viewport
 from ..scene.workspace import clouds_of, hide
 from . import cloud, control, frame, photos, plan, present, result
 from .cloud import CURECON_PG_cloud
@@ -85,8 +85,8 @@ def _show_surface(properties: CURECON_PG_scene, context: bpy.types.Context) -> N
     hide(surface.surfaces_of(properties.id_data), not properties.show_surface)
 
 
-def _show_filled(properties: CURECON_PG_scene, context: bpy.types.Context) -> None:
-    surface.show_filled(properties.id_data, properties.show_filled)
+def _show_marks(properties: CURECON_PG_scene, context: bpy.types.Context) -> None:
+    marks.show(surface.surfaces_of(properties.id_data), properties.shown_marks())
 
 
 def _surface_light(properties: CURECON_PG_scene, context: bpy.types.Context) -> None:
@@ -154,7 +154,12 @@ class CURECON_PG_scene(bpy.types.PropertyGroup):
     show_filled: BoolProperty(
         name="Show Filled",
         description="Tint the faces that no photo measured, in every kind of view and in renders",
-        default=False, update=_show_filled,
+        default=False, update=_show_marks,
+    )
+    show_weak: BoolProperty(
+        name="Show Weak",
+        description="Tint the faces that one photo alone measured, in every kind of view and in renders",
+        default=False, update=_show_marks,
     )
     surface_light: EnumProperty(
         name="Light", description="Whose light falls on the surface, in every kind of shading and in renders",
@@ -224,6 +229,10 @@ class CURECON_PG_scene(bpy.types.PropertyGroup):
     control: PointerProperty(type=CURECON_PG_control, name="Control Points", description="Points that were measured")
     plan: PointerProperty(type=CURECON_PG_plan, name="Plan", description="What a flight is planned from")
     present: PointerProperty(type=CURECON_PG_present, name="Present", description="How the site is presented")
+
+    def shown_marks(self) -> tuple[str, ...]:
+        """Which of marks.MARKS the user wants tinted."""
+        return tuple(mark for mark in marks.MARKS if getattr(self, f"show_{mark}"))
 
 
 CLASSES = (*photos.CLASSES, *cloud.CLASSES, *result.CLASSES, *frame.CLASSES, *control.CLASSES, *plan.CLASSES,

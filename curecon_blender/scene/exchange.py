@@ -24,7 +24,7 @@ from ..core.base.records import GeoPosition
 from ..core.cloud.ply import CloudWriter, read_cloud
 from ..core.surface import export
 from ..core.surface.export import Provenance
-from . import cloud_edits, placing, points, surface
+from . import cloud_edits, marks, placing, points, surface
 from .frame import ADJUSTED_KEY, FRAME_KEY, Part, world_matrix
 
 IMAGE_QUALITY = 90  # of JPEG and WebP in a GLB
@@ -82,7 +82,8 @@ def export_surfaces(
     with disk_errors(path), TemporaryDirectory(prefix=".curecon-", dir=path.parent) as scratch:
         made = Path(scratch) / path.name
         # Without lights a normal map is of no use.
-        with _only(context, items, relief=choices.form == "GLB" and not choices.unlit):
+        with (_only(context, items, relief=choices.form == "GLB" and not choices.unlit),
+              marks.for_export(items, "CORNER" if choices.form == "GLB" else "POINT")):
             if choices.form == "GLB":
                 note = _write_glb(made, items, about, choices, textured=bool(images))
             elif choices.form == "OBJ":
@@ -141,12 +142,13 @@ def _write_glb(
         export_image_format=choices.texture, export_jpeg_quality=IMAGE_QUALITY, export_image_quality=IMAGE_QUALITY,
         # glTF multiplies vertex colours with the texture: a textured surface must not have them.
         export_vertex_color="NONE" if textured else "NAME", export_vertex_color_name=surface.COLOUR,
-        export_all_vertex_colors=False, **({switch: True} if switch in known else {}),
+        export_all_vertex_colors=False, export_attributes=True, **({switch: True} if switch in known else {}),
         export_draco_mesh_compression_level=DRACO_LEVEL, export_draco_position_quantization=bits,
         export_draco_texcoord_quantization=DRACO_BITS[0],
     )
-    filled = [m.name for item in items for m in item.data.materials if m is not None and surface.FILLED_KEY in m]
-    export.describe_glb(path, about, filled=filled, unlit=choices.unlit)
+    materials = [m for item in items for m in item.data.materials if m is not None]
+    marked = {mark: [m.name for m in materials if marks.has_mark(m, mark)] for mark in marks.MARKS}
+    export.describe_glb(path, about, marks=marked, unlit=choices.unlit)
     if mark not in path.read_bytes():
         return f"This Blender comes without {choices.compression.capitalize()}: the file is not compressed."
     return ""
@@ -273,7 +275,7 @@ def _only(context: bpy.types.Context, items: list[bpy.types.Object], *, relief: 
         if abs(metre - 1) > 1e-6:  # what stands in metres is written to the bit
             for item in items:
                 item.matrix_world = Matrix.Scale(1 / metre, 4) @ world_matrix(item)
-        surface.show_filled(context.scene, False)
+        marks.show(surface.surfaces_of(context.scene), ())
         surface.simplify(items, True, relief=relief)
         for item in selected:
             item.select_set(False)
@@ -294,4 +296,4 @@ def _only(context: bpy.types.Context, items: list[bpy.types.Object], *, relief: 
             item.select_set(True)
         layer.objects.active = active
         surface.simplify(items, False)
-        surface.show_filled(context.scene, properties.show_filled)
+        marks.show(surface.surfaces_of(context.scene), properties.shown_marks())

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The surface as a mesh object: its texture or vertex colours, what supports it, and the two ways to look at it.
 
-Every page of texture has two materials, one for faces that photos measured and one for faces that were filled in, so
-that filled surface can be tinted by a switch in the latter: nothing is rebuilt. Both show the photos' colours as they
-are (the photos' own light) or lit by the scene.
+Every page of texture has three materials, one for faces that photos measured, one for those that were filled in and one
+for those that one photo alone measured, so that the latter two can be tinted by a switch in theirs: nothing is rebuilt.
+All show the photos' colours as they are (the photos' own light) or lit by the scene.
 """
 
 from __future__ import annotations
@@ -20,17 +20,13 @@ from ..core.base.errors import WorkspaceError
 from ..core.base.language import Text
 from ..core.surface.mesh import SHARP_ANGLE, Mesh
 from ..core.surface.triangles import face_normals, mesh_edges
+from .marks import COLOUR_NODE, FILLED_NODE, MARKS, add_tint, mark_key
 from .points import COLOUR, SUBJECT_SAMPLE, fill, linear, linear_colours, positions
 
 SURFACE_KEY = "curecon_surface"  # marks the mesh data that came from a workspace
-FILLED_KEY = "curecon_filled"  # marks the materials of filled faces
 UV = "UVMap"
-TINTED = "Color with filled"  # the vertex colours with the filled faces tinted, for Solid shading
-TINT = (1.0, 0.12, 0.45)  # sRGB: a pink that no building has
-TINT_STRENGTH = 0.85  # the rest is the surface's own colour, which keeps its shape readable
 # Names of nodes, by which the switches find them.
-COLOUR_NODE, TINT_IMAGE_NODE, LIGHT_NODE, FILLED_NODE = "Colour", "Tint for Solid", "Light", "Filled"
-RELIEF_NODE = "Relief"
+LIGHT_NODE, RELIEF_NODE = "Light", "Relief"
 
 
 def pictures(mesh: Mesh, file: Path) -> tuple[list[Path], list[Path]]:
@@ -56,15 +52,14 @@ class SurfaceArrays:
 
     `mesh` has no face that names a vertex twice, which would crash Blender later; `edges` (E,2) int32 are its edges'
     vertices and `corner_edges` (M,3) int32 the edge from each corner to the next; `colours` (N,4) float32 linear;
-    `tinted` (3M,4), the same for each corner with the filled faces tinted, where there is no texture; `mean` (3,) the
-    mean colour; `material` (M,) int32; `pages` the textures' files, `normal_pages` those of the normal map, if any.
+    `mean` (3,) the mean colour; `material` (M,) int32; `pages` the textures' files, `normal_pages` those of the
+    normal map, if any.
     """
 
     mesh: Mesh
     edges: np.ndarray
     corner_edges: np.ndarray
     colours: np.ndarray
-    tinted: np.ndarray | None
     mean: np.ndarray
     material: np.ndarray
     pages: list[Path]
@@ -82,18 +77,13 @@ def arrays(mesh: Mesh, pages: list[Path], normal_pages: Sequence[Path] = ()) -> 
                        uv=None if mesh.uv is None else mesh.uv[whole],
                        page=None if mesh.page is None else mesh.page[whole])
     edges, corner_edges = mesh_edges(mesh.faces)  # Blender would take some hundred milliseconds for it
-    colours, tinted = linear_colours(mesh.colours), None
-    if mesh.uv is None:
-        # Solid shading knows no materials' nodes, only colour attributes: the tint needs one of its own.
-        corners = mesh.colours[mesh.faces]
-        own, tint = (1 - TINT_STRENGTH) * corners[mesh.filled], TINT_STRENGTH * 255 * np.array(TINT)
-        corners[mesh.filled] = np.rint(own + tint)
-        tinted = linear_colours(corners.reshape(-1, 3))
     page = np.zeros(len(mesh.faces), np.int32) if mesh.page is None else np.maximum(mesh.page, 0)
+    weak = np.zeros(len(mesh.faces), bool) if mesh.weak is None else mesh.weak
     return SurfaceArrays(
-        mesh=mesh, edges=edges, corner_edges=corner_edges, colours=colours, tinted=tinted,
+        mesh=mesh, edges=edges, corner_edges=corner_edges, colours=linear_colours(mesh.colours),
         mean=linear(mesh.colours.mean(axis=0) / 255) if len(mesh.colours) else np.full(3, 0.5),
-        material=(page * 2 + mesh.filled).astype(np.int32), pages=pages, normal_pages=[*normal_pages],
+        material=(page * (1 + len(MARKS)) + np.where(mesh.filled, 1, 2 * weak)).astype(np.int32), pages=pages,
+        normal_pages=[*normal_pages],
     )
 
 
@@ -123,8 +113,6 @@ def build(
             values.append((mark, "BOOLEAN", "FACE", "value", which))
     if mesh.uv is not None:
         values.append((UV, "FLOAT2", "CORNER", "vector", mesh.uv))
-    if content.tinted is not None:
-        values.append((TINTED, "FLOAT_COLOR", "CORNER", "color", content.tinted))
     yield from fill(data, "Making the surface", values)
     textured = mesh.uv is not None
     for number in range(len(content.pages) if textured else 1):
@@ -132,8 +120,9 @@ def build(
         image = _image(content.pages[number], pack) if textured else None
         relief = _image(content.normal_pages[number], pack) if content.normal_pages else None
         label = name if len(content.pages) < 2 else f"{name} {number + 1}"
-        data.materials.append(_material(label, image, relief, content.mean, filled=False))
-        data.materials.append(_material(f"{label} Filled", image, relief, content.mean, filled=True))
+        data.materials.append(_material(label, image, relief, content.mean))
+        for mark in MARKS:
+            data.materials.append(_material(f"{label} {mark.capitalize()}", image, relief, content.mean, mark))
     yield "Making the surface"
     data.update()
     yield "Making the surface"
@@ -186,25 +175,6 @@ def facing(data: bpy.types.Mesh) -> tuple[np.ndarray, np.ndarray]:
     across = face_normals(positions(data), triangles[:: max(1, len(triangles) // SUBJECT_SAMPLE)])
     lengths = np.linalg.norm(across, axis=1)
     return across / np.maximum(lengths, 1e-12)[:, None], lengths / 2
-
-
-def show_filled(scene: bpy.types.Scene, tinted: bool) -> None:
-    """Tint the filled faces of the scene's surfaces, in every kind of shading and in renders, or show them plainly."""
-    for item in surfaces_of(scene):
-        for material in item.data.materials:
-            if material is None or FILLED_KEY not in material or material.node_tree is None:
-                continue
-            nodes = material.node_tree.nodes
-            if FILLED_NODE in nodes:
-                nodes[FILLED_NODE].inputs[0].default_value = TINT_STRENGTH if tinted else 0.0
-            # Solid shading shows the active image node, or else the viewport colour.
-            if (shown := nodes.get(TINT_IMAGE_NODE if tinted else COLOUR_NODE)) is not None:
-                nodes.active = shown
-            material.diffuse_color = (*(linear(np.array(TINT)) if tinted else material[FILLED_KEY]), 1.0)
-        attributes = item.data.color_attributes
-        if (wanted := TINTED if tinted else COLOUR) in attributes:
-            attributes.active_color_name = wanted
-        item.data.update_tag()
 
 
 def light(scene: bpy.types.Scene, by_scene: bool) -> None:
@@ -294,7 +264,7 @@ def _image(path: Path, pack: bool) -> bpy.types.Image:
 
 
 def _material(
-    name: str, image: bpy.types.Image | None, relief: bpy.types.Image | None, mean: np.ndarray, *, filled: bool
+    name: str, image: bpy.types.Image | None, relief: bpy.types.Image | None, mean: np.ndarray, mark: str = ""
 ) -> bpy.types.Material:
     """The photos' colour, as the photos' own light showed it or on a matte surface in the scene's light, with the
     normal map `relief`."""
@@ -326,9 +296,9 @@ def _material(
     links.new(mix.outputs[0], output.inputs["Surface"])
     if relief is not None:
         _add_relief(material, relief, matte)
-    if filled:
-        material[FILLED_KEY] = mean.tolist()
-        _add_tint(material, mix, output, solid=image is not None)
+    if mark:
+        material[mark_key(mark)] = mean.tolist()
+        add_tint(material, mark, mix, output, solid=image is not None)
     nodes.active = colour
     if hasattr(material, "cycles"):  # the Cycles add-on can be switched off
         # Each face would otherwise count as a lamp, and Cycles would sample millions of them.
@@ -346,31 +316,3 @@ def _add_relief(material: bpy.types.Material, relief: bpy.types.Image, matte: bp
     picture.location, directions.location = (-900, 400), (-560, 400)
     links.new(picture.outputs["Color"], directions.inputs["Color"])
     links.new(directions.outputs["Normal"], matte.inputs["Normal"])
-
-
-def _add_tint(
-    material: bpy.types.Material, shader: bpy.types.Node, output: bpy.types.Node, *, solid: bool
-) -> None:
-    nodes, links = material.node_tree.nodes, material.node_tree.links
-    tint, mix = nodes.new("ShaderNodeEmission"), nodes.new("ShaderNodeMixShader")
-    mix.name = mix.label = FILLED_NODE
-    mix.inputs[0].default_value = 0.0
-    tint.inputs["Color"].default_value = (*linear(np.array(TINT)), 1.0)
-    tint.location, mix.location = (20, -120), (240, 100)
-    links.new(shader.outputs[0], mix.inputs[1])
-    links.new(tint.outputs[0], mix.inputs[2])
-    links.new(mix.outputs[0], output.inputs["Surface"])
-    if solid:
-        node = nodes.new("ShaderNodeTexImage")  # linked to nothing: Solid shading shows it while it is active
-        node.name = node.label = TINT_IMAGE_NODE
-        node.image, node.location = _tint_image(), (-600, -300)
-
-
-def _tint_image() -> bpy.types.Image:
-    """A picture of the tint, shared by all surfaces and kept in the .blend (Blender writes none that is generated by
-    colour alone, but its settings, from which it comes back)."""
-    image = bpy.data.images.get(FILLED_KEY)
-    if image is None:
-        image = bpy.data.images.new(FILLED_KEY, 1, 1)
-        image.generated_color = (*TINT, 1.0)
-    return image

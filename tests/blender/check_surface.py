@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""An imported surface has its shape, colours and marks, takes the earlier one's place, and shows what was filled.
-Argument: an empty folder."""
+"""An imported surface has its shape, colours and marks, takes the earlier one's place, and shows what was filled or
+weak. Argument: an empty folder."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ import bpy
 import numpy as np
 import surface_scene
 import workspace_scene
-from surface_scene import FILLED, QUARTERS
+from surface_scene import FILLED, QUARTERS, WEAK
 
 import curecon_blender
 from curecon_blender.core.surface.mesh import write_mesh
-from curecon_blender.scene.surface import TINT, facing, surfaces_of
+from curecon_blender.scene.marks import TINTS
+from curecon_blender.scene.surface import facing, surfaces_of
 from curecon_blender.scene.workspace import clouds_of
 
 FOLDER = Path(sys.argv[1])
-TINT_BYTES = np.array(TINT) * 255
 
 
 def import_folder(folder: Path) -> bpy.types.Object:
@@ -53,23 +53,28 @@ def check_geometry(data: bpy.types.Mesh, *, pages: int) -> None:
     sharp = data.attributes.get("sharp_edge")
     assert not any(polygon.use_smooth is False for polygon in data.polygons)
     assert sharp is None or not any(item.value for item in sharp.data)
-    assert len(data.materials) == 2 * max(pages, 1)
+    assert np.array_equal(values(data, "weak", "value", bool), wanted.weak)
+    assert len(data.materials) == 3 * max(pages, 1)
     indices = values(data, "material_index", "value", np.int32)
     page = wanted.page if wanted.page is not None else 0
-    assert np.array_equal(indices, page * 2 + wanted.filled)
+    assert np.array_equal(indices, page * 3 + wanted.filled + 2 * wanted.weak)
     if wanted.uv is not None:
         uv = np.empty(len(wanted.faces) * 6, np.float32)
         data.uv_layers.active.uv.foreach_get("vector", uv)
         assert np.array_equal(uv.reshape(-1, 3, 2), wanted.uv)
 
 
-def check_colours(*, filled_tinted: bool) -> None:
+def check_colours(*tinted: str) -> None:
+    """Of the quarters, those with a mark that is `tinted` have its tint, all others the photos' colours."""
     seen = surface_scene.render()
-    measured = np.arange(4) != FILLED
-    assert np.abs(seen[measured] - QUARTERS[measured]).max() < 3, seen
-    to_photo = np.abs(seen[FILLED] - QUARTERS[FILLED]).max()
-    to_tint = np.abs(seen[FILLED] - TINT_BYTES).max()
-    assert (to_tint < to_photo and to_photo > 60) if filled_tinted else to_photo < 3, (seen, to_tint, to_photo)
+    marks = {FILLED: "filled", WEAK: "weak"}
+    for quarter, colour in enumerate(QUARTERS):
+        to_photo = np.abs(seen[quarter] - colour).max()
+        if marks.get(quarter) in tinted:
+            to_tint = np.abs(seen[quarter] - np.array(TINTS[marks[quarter]]) * 255).max()
+            assert to_tint < to_photo and to_photo > 60, (quarter, seen, to_tint, to_photo)
+        else:
+            assert to_photo < 3, (quarter, seen, to_photo)
 
 
 def check_facing(item: bpy.types.Object) -> None:
@@ -96,17 +101,24 @@ def check_both_ways() -> None:
     properties = bpy.context.scene.curecon
     item = surfaces_of(bpy.context.scene)[0]
     before = [material.as_pointer() for material in item.data.materials], item.data.as_pointer()
-    check_colours(filled_tinted=False)
+    check_colours()
+    properties.show_weak = True
+    check_colours("weak")
     properties.show_filled = True
-    check_colours(filled_tinted=True)
+    check_colours("weak", "filled")
+    properties.show_weak = False
+    check_colours("filled")
     in_solid = item.data.materials[1].diffuse_color
-    assert np.allclose(in_solid[:3], [c**2.2 for c in TINT], atol=0.03), tuple(in_solid)
+    assert np.allclose(in_solid[:3], [c**2.2 for c in TINTS["filled"]], atol=0.03), tuple(in_solid)
     if item.data.uv_layers:  # what Solid shading shows as texture
         assert item.data.materials[1].node_tree.nodes.active.image.generated_width == 1
     else:
-        assert item.data.color_attributes.active_color.domain == "CORNER"
+        colours = values(item.data, item.data.color_attributes.active_color.name, "color", width=4)
+        assert len(colours) == 3 * len(item.data.polygons)
+        assert colours[-1, 0] > colours[-1, 1] + 0.5  # pink, the last face of the filled quarter
+        assert np.allclose(colours[0, :3], [(c / 255) ** 2.2 for c in QUARTERS[WEAK]], atol=0.03)
     properties.show_filled = False
-    check_colours(filled_tinted=False)
+    check_colours()
     assert before == ([material.as_pointer() for material in item.data.materials], item.data.as_pointer())
 
 
@@ -151,7 +163,7 @@ try:
     check_facing(surface)
     assert not surface.data.uv_layers and not surface.data.materials[0].node_tree.nodes.get("Image Texture")
     result = scene.curecon.result
-    assert (result.faces, result.textured, round(result.filled)) == (800, False, 25)
+    assert (result.faces, result.textured, round(result.filled), round(result.weak)) == (800, False, 25, 25)
     assert clouds_of(scene)[0].hide_viewport and clouds_of(scene)[0].hide_render and not scene.curecon.show_cloud
     scene.curecon.show_cloud = True
     assert not clouds_of(scene)[0].hide_viewport and not clouds_of(scene)[0].hide_render
@@ -167,7 +179,7 @@ try:
     assert len(surfaces_of(scene)) == 1 and "My Door" in scene.objects
     assert sorted(mesh.name for mesh in bpy.data.meshes) == ["My Door", "one Surface"]
     assert sorted(material.name for material in bpy.data.materials) == [
-        "CU-Recon Colour", "one Surface", "one Surface Filled"]
+        "CU-Recon Colour", "one Surface", "one Surface Filled", "one Surface Weak"]
     check_geometry(surface.data, pages=1)
     image = surface.data.materials[0].node_tree.nodes["Colour"].image
     assert Path(bpy.path.abspath(image.filepath)) == folder / "textured" / "texture_0.png"
@@ -182,7 +194,8 @@ try:
     shutil.copytree(folder / "textured", folder / "detail" / "20k")
     full = surface_scene.mesh(pages=1)
     write_mesh(folder / "detail" / "20k" / "mesh.ply", replace(
-        full, faces=full.faces[:400], filled=full.filled[:400], uv=full.uv[:400], page=full.page[:400]))
+        full, faces=full.faces[:400], filled=full.filled[:400], weak=full.weak[:400], uv=full.uv[:400],
+        page=full.page[:400]))
     scene.curecon.shown_detail = "20k"
     image = import_folder(folder).data.materials[0].node_tree.nodes["Colour"].image
     assert result.faces == 400 and Path(bpy.path.abspath(image.filepath)).parent == folder / "detail" / "20k"
@@ -212,7 +225,7 @@ try:
     bpy.ops.wm.read_homefile(use_empty=True)
     bpy.ops.wm.open_mainfile(filepath=str(FOLDER / "saved.blend"))
     scene = bpy.context.scene
-    check_colours(filled_tinted=True)
+    check_colours("filled")
     scene.curecon.show_filled = False
     check_both_ways()
     assert tuple(bpy.data.images["curecon_filled"].pixels[:3]) != (0, 0, 0)

@@ -59,7 +59,7 @@ try:
 
     open_workspace("textured", textured=True)
     scene = bpy.context.scene
-    scene.curecon.show_filled = True  # the file must be the same whatever is shown
+    scene.curecon.show_filled = scene.curecon.show_weak = True  # the file must be the same whatever is shown
     scene.curecon.show_surface = False
     export("textured", "GLB")
     scene.curecon.show_surface = True

@@ -1,6 +1,7 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A little surface for the Blender scripts: a tent of 10 x 10 x 1 m with a colour a quarter, the last one filled."""
+"""A little surface for the Blender scripts: a tent of 10 x 10 x 1 m with a colour a quarter, the first one weak and the
+last one filled."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ SIDE = 21  # vertices
 PAGE_PIXELS = 64
 # sRGB bytes by quarter: low x low y, high x low y, low x high y, and high x high y, which is filled.
 QUARTERS = np.array([(200, 40, 30), (40, 180, 60), (50, 70, 200), (220, 200, 60)], np.uint8)
-FILLED = 3
+FILLED, WEAK = 3, 0
 
 
 def mesh(*, pages: int = 0) -> Mesh:
@@ -34,6 +35,7 @@ def mesh(*, pages: int = 0) -> Mesh:
     made = Mesh(
         vertices=vertices, faces=faces, colours=QUARTERS[quarter_of(vertices)], distance=distance,
         views=np.where(distance > 0.1, 0, 5).astype(np.uint8), filled=filled,
+        weak=quarter == WEAK,
     )
     if not pages:
         return made

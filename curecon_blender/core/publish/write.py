@@ -23,7 +23,7 @@ from ..deliver.ortho import read_pages
 from ..deliver.placement import DeliverError
 from ..report.measure import subject
 from ..report.write import FOLDER as REPORT
-from ..surface.mesh import Mesh, filled_share, read_mesh, unseen_share
+from ..surface.mesh import Mesh, filled_share, read_mesh, unseen_share, weak_share
 from . import folder as site_files
 from . import page, privacy, tiles
 from .levels import Level, coarser, texel
@@ -150,7 +150,8 @@ def _surface(
         tiles.write_earth(to.folder, rotation, centre)
     places = source.place(levels[0].mesh.vertices)
     record = {**asdict(made), "faces": len(finest.faces), "textured": len(levels[-1].pages) > 0,
-              "filled": filled_share([finest]), "unseen": unseen_share([finest]), "tileset": f"surface/{tiles.TILESET}"}
+              "filled": filled_share([finest]), "weak": weak_share([finest]), "unseen": unseen_share([finest]),
+              "tileset": f"surface/{tiles.TILESET}"}
     return record, page.thumbnail_of_surface(levels[0], places), places
 
 

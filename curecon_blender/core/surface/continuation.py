@@ -38,6 +38,8 @@ _FULL = 0.97  # of the sheet's nodes: it has no gap
 _STEEP = 0.5  # of a normal's z: what is steeper is a wall and goes on until something stops it
 _RECESS = 4  # cells behind a gap: a surface measured there says that it is none
 _FINE = 0.006  # of the depth: by how much farther a photo must see to look through a gap
+_MOST_NEAR = 200_000  # points that a sheet is fitted to
+_BATCH = 4096  # sheets that are fitted at a time
 _GAP, _OWN, _BLOCKED, _EMPTY = 0, 1, 2, 3
 _compiled: Any = njit(nogil=True, error_model="numpy")
 
@@ -137,10 +139,17 @@ def _sheets(grid: _Grid) -> tuple[_Sheets, np.ndarray]:
     """All sheets with gaps, and the states of all their nodes."""
     cells = cell_numbers(grid.points, np.zeros(3), _SEED * grid.side)
     _, seed = np.unique(cells * 8 + _direction(grid.normals), return_index=True)
-    numbers, bends, axes, state = _fit(
-        seed, grid.points, grid.normals, grid.buckets, grid.starts, grid.cells, grid.side)
-    centres = grid.points[numbers]
-    return _Sheets(centres, axes, bends, np.abs(grid.normals[numbers, 2]) < _STEEP), state
+    near = np.empty(_MOST_NEAR, np.int64)
+    parts = []
+    for begin in range(0, len(seed), _BATCH):
+        numbers = seed[begin : begin + _BATCH].copy()
+        count = len(numbers)
+        into = np.empty((count, 4)), np.empty((count, 3, 3)), np.empty((count, _WIDTH * _HEIGHT), np.int8)
+        found = _fit(numbers, grid.points, grid.normals, grid.buckets, grid.starts, grid.cells, grid.side, near, *into)
+        parts.append([whole[:found].copy() for whole in (numbers, *into)])
+    numbers, bends, axes, state = (np.concatenate(part) for part in zip(*parts, strict=True))
+    steep = np.abs(grid.normals[numbers, 2]) < _STEEP
+    return _Sheets(grid.points[numbers], axes, bends, steep), state.ravel()
 
 
 def _shortest_first(places: np.ndarray, gap: np.ndarray, side: float) -> np.ndarray:
@@ -212,11 +221,8 @@ def _curved(a, b, h, reach):  # type: ignore[no-untyped-def]
             rb += wy * z
             raa += wxx * z
         # little curvature where little tells it
-        normal = np.array([[s1, sa, sb, saa], [sa, saa, sab, saaa], [sb, sab, sbb, saab],
-                           [saa, saaa, saab, saaaa + 1e4 / reach**2]])
-        for i in range(4):
-            normal[i, i] += 1e-6
-        c = np.linalg.solve(normal, np.array([r1, ra, rb, raa]))
+        _solve(np.array([[s1, sa, sb, saa, r1], [sa, saa, sab, saaa, ra], [sb, sab, sbb, saab, rb],
+                         [saa, saaa, saab, saaaa + 1e4 / reach**2, raa]]), c)
         for k in range(len(a)):
             off = (h[k] - c[0] - c[1] * a[k] - c[2] * b[k] - c[3] * a[k] * a[k]) / _ON
             weight[k] = 1 / (1 + off * off * off * off)
@@ -224,14 +230,35 @@ def _curved(a, b, h, reach):  # type: ignore[no-untyped-def]
 
 
 @_compiled
-def _axes(n):  # type: ignore[no-untyped-def]
-    """Level, up the slope, and outwards, for a sheet whose normal is n."""
-    u = np.array([-n[1], n[0], 0.0]) if n[2] * n[2] < 0.98 else np.array([1.0, 0.0, 0.0]) - n * n[0]
-    u /= np.sqrt((u * u).sum())
-    axes = np.empty((3, 3))
-    axes[0], axes[2] = u, n
-    axes[1] = np.array([n[1] * u[2] - n[2] * u[1], n[2] * u[0] - n[0] * u[2], n[0] * u[1] - n[1] * u[0]])
-    return axes
+def _solve(m, c):  # type: ignore[no-untyped-def]
+    """The c (4,) of normal equations m (4,5), whose last column is the right side. LAPACK takes longer to compile than
+    all sheets of a site to fit."""
+    for i in range(4):
+        m[i, i] += 1e-6
+        for j in range(i + 1, 4):
+            m[j, i] /= m[i, i]
+            for k in range(i + 1, 5):
+                m[j, k] -= m[j, i] * m[i, k]
+    for i in range(3, -1, -1):
+        c[i] = m[i, 4]
+        for k in range(i + 1, 4):
+            c[i] -= m[i, k] * c[k]
+        c[i] /= m[i, i]
+
+
+@_compiled
+def _axes(n, axes):  # type: ignore[no-untyped-def]
+    """Level, up the slope, and outwards, into `axes`, for a sheet whose normal is n."""
+    x, y, z = n[0], n[1], n[2]
+    if z * z < 0.98:
+        ux, uy, uz = -y, x, 0.0
+    else:
+        ux, uy, uz = 1.0 - x * x, -y * x, -z * x
+    length = np.sqrt(ux * ux + uy * uy + uz * uz)
+    ux, uy, uz = ux / length, uy / length, uz / length
+    axes[0, 0], axes[0, 1], axes[0, 2] = ux, uy, uz
+    axes[1, 0], axes[1, 1], axes[1, 2] = y * uz - z * uy, z * ux - x * uz, x * uy - y * ux
+    axes[2, 0], axes[2, 1], axes[2, 2] = x, y, z
 
 
 @_compiled
@@ -252,12 +279,15 @@ def _state_of(centre, axes, c, a, b, h, cells, side, state):  # type: ignore[no-
             if state[at] != _GAP:
                 continue
             x, y = i - REACH, j - REACH - _HIGHER
-            place = centre + side * (x * axes[0] + y * axes[1] + (c[0] + c[1] * x + c[2] * y + c[3] * x * x) * axes[2])
-            out = axes[2] - (c[1] + 2 * c[3] * x) * axes[0] - c[2] * axes[1]
-            out /= np.sqrt((out * out).sum())
+            height = c[0] + c[1] * x + c[2] * y + c[3] * x * x
+            slope = c[1] + 2 * c[3] * x
+            length = np.sqrt(1 + slope * slope + c[2] * c[2])
             for back in range(-1, _RECESS + 1):
-                p = place - back * side * out
-                if _holds(cells, p[0], p[1], p[2], side):
+                # Along the sheet's normal there, in cells.
+                u, v, w = x + back * slope / length, y + back * c[2] / length, height - back / length
+                if _holds(cells, centre[0] + side * (u * axes[0, 0] + v * axes[1, 0] + w * axes[2, 0]),
+                          centre[1] + side * (u * axes[0, 1] + v * axes[1, 1] + w * axes[2, 1]),
+                          centre[2] + side * (u * axes[0, 2] + v * axes[1, 2] + w * axes[2, 2]), side):
                     state[at] = _BLOCKED
                     break
     # A node beside the sheet's own points is its own noise, not another surface.
@@ -276,22 +306,23 @@ def _state_of(centre, axes, c, a, b, h, cells, side, state):  # type: ignore[no-
 
 
 @_compiled
-def _fit(seeds, points, normals, buckets, starts, cells, side):  # type: ignore[no-untyped-def]
-    """The seeds about which there is a sheet with gaps, its bends and axes, and the states of the nodes."""
-    numbers, bends, axes_of, states = [seeds[0]], [np.zeros(4)], [np.eye(3)], [np.zeros(0, np.int8)]
-    near = np.empty(200_000, np.int64)
+def _fit(seeds, points, normals, buckets, starts, cells, side, near, bends, axes_of, states):  # type: ignore
+    """Writes the seeds about which there is a sheet with gaps over the first of `seeds`, and its bends, axes, and the
+    states of its nodes; returns how many there are."""
+    found = 0
+    a, b, h = np.empty(len(near)), np.empty(len(near)), np.empty(len(near))
     for seed in seeds:
-        centre, n = points[seed], normals[seed]
-        axes = _axes(n)
+        centre, n, axes = points[seed], normals[seed], axes_of[found]
+        _axes(n, axes)
         count = 0
-        total = _about(centre, buckets, starts, side * REACH, near)
-        a, b, h = np.empty(total), np.empty(total), np.empty(total)
-        for k in range(total):
+        for k in range(_about(centre, buckets, starts, side * REACH, near)):
             i = near[k]
-            if (normals[i] * n).sum() < _ALIKE:
+            if normals[i, 0] * n[0] + normals[i, 1] * n[1] + normals[i, 2] * n[2] < _ALIKE:
                 continue
-            d = points[i] - centre
-            x, y, z = (d * axes[0]).sum() / side, (d * axes[1]).sum() / side, (d * n).sum() / side
+            d0, d1, d2 = points[i, 0] - centre[0], points[i, 1] - centre[1], points[i, 2] - centre[2]
+            x = (d0 * axes[0, 0] + d1 * axes[0, 1] + d2 * axes[0, 2]) / side
+            y = (d0 * axes[1, 0] + d1 * axes[1, 1] + d2 * axes[1, 2]) / side
+            z = (d0 * axes[2, 0] + d1 * axes[2, 1] + d2 * axes[2, 2]) / side
             if abs(x) <= REACH and abs(y) <= REACH and abs(z) <= _THICK + 0.02 * (x * x + y * y):
                 a[count], b[count], h[count] = x, y, z
                 count += 1
@@ -303,19 +334,12 @@ def _fit(seeds, points, normals, buckets, starts, cells, side):  # type: ignore[
             own += abs(h[k] - c[0] - c[1] * a[k] - c[2] * b[k] - c[3] * a[k] * a[k]) < _ON
         if own < _LEAST or own < _GOOD * count:
             continue
-        state = np.empty(_WIDTH * _HEIGHT, np.int8)
-        if _state_of(centre, axes, c, a[:count], b[:count], h[:count], cells, side, state):
-            numbers.append(seed)
-            bends.append(c)
-            axes_of.append(axes)
-            states.append(state)
-    count = len(numbers) - 1
-    chosen, all_bends, all_axes = np.empty(count, np.int64), np.empty((count, 4)), np.empty((count, 3, 3))
-    state = np.empty(count * _WIDTH * _HEIGHT, np.int8)
-    for k in range(count):
-        chosen[k], all_bends[k], all_axes[k] = numbers[k + 1], bends[k + 1], axes_of[k + 1]
-        state[k * _WIDTH * _HEIGHT : (k + 1) * _WIDTH * _HEIGHT] = states[k + 1]
-    return chosen, all_bends, all_axes, state
+        if _state_of(centre, axes, c, a[:count], b[:count], h[:count], cells, side, states[found]):
+            seeds[found] = seed
+            for k in range(4):
+                bends[found, k] = c[k]
+            found += 1
+    return found
 
 
 # Long: the two directions of a line share all of it.

@@ -68,10 +68,12 @@ class Provenance:
 
 
 def describe_glb(
-    path: Path, provenance: Mapping[str, Provenance], *, filled: Sequence[str] = (), unlit: bool = False
+    path: Path, provenance: Mapping[str, Provenance], *,
+    marks: Mapping[str, Sequence[str]] | None = None, unlit: bool = False,
 ) -> None:
-    """Put each node's provenance (by its name) into its extras, the first one into the asset's too, and mark the
-    materials of filled faces. With `unlit`, viewers show the photos' colours without lights of their own."""
+    """Put each node's provenance (by its name) into its extras, the first one into the asset's too, and say of
+    each material whether it is that of the faces of each of `marks` (material names). With `unlit`, viewers show the
+    photos' colours without lights of their own."""
     with open(path, "rb") as file:
         magic, version, _ = struct.unpack("<3I", file.read(12))
         length, kind = struct.unpack("<2I", file.read(8))
@@ -88,7 +90,8 @@ def describe_glb(
             if node.get("name") in provenance:
                 node["extras"] = {**node.get("extras", {}), **provenance[node["name"]].extras()}
         for material in content.get("materials", ()):
-            material["extras"] = {**material.get("extras", {}), "filled": material.get("name") in filled}
+            of = {mark: material.get("name") in names for mark, names in (marks or {}).items()}
+            material["extras"] = {**material.get("extras", {}), **of}
             if unlit:
                 material.setdefault("extensions", {})[_UNLIT] = {}
         if unlit and content.get("materials"):
