@@ -16,7 +16,8 @@ from curecon_blender.core.cloud.ply import Cloud, joined
 from curecon_blender.core.surface.borders import clip
 from curecon_blender.core.surface.build import MeshOptions, build_mesh
 from curecon_blender.core.surface.continuation import continued
-from curecon_blender.core.surface.extent import FAR, within
+from curecon_blender.core.surface.extent import FAR, find_building, within
+from curecon_blender.core.surface.mesh import MeshError
 from curecon_blender.core.surface.sight import Glance, Sight, looked_through, weak_points
 from curecon_blender.core.surface.triangles import triangle_areas
 
@@ -141,6 +142,47 @@ def test_background_that_photos_saw_only_from_afar_is_no_site() -> None:
     inside = within(points, [view], SPACING, FAR)
     assert inside[: len(wall)].all() and not inside[len(wall) :].any()
     assert within(points, [], SPACING, FAR).all()
+
+
+def court() -> tuple[Cloud, Cloud]:
+    """A wall of 2 m height and 0.8 m thickness about a court of 4 x 4 m, and apart from that the ground, 12 x 12 m,
+    with a tree."""
+    sides = []
+    for turn in range(4):
+        angle = np.pi / 2 * turn
+        rotation = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+        for part in (plane((-2.8, -2.8, 0), (5.6, 0, 0), (0, 0, 2)), plane((2, -2, 0), (-4, 0, 0), (0, 0, 2)),
+                     plane((-2.8, -2.8, 2), (5.6, 0, 0), (0, 0.8, 0))):
+            sides.append(part.rotated(rotation))
+    generator = np.random.default_rng(2)
+    leaves = plane((0, 0, 0), (2, 0, 0), (0, 2, 0))
+    out = generator.normal(0, 1, leaves.points.shape)
+    out /= np.linalg.norm(out, axis=1, keepdims=True)
+    leaves.points[:] = np.array([4.5, 4.5, 1.7]) + out * generator.random((len(out), 1)) ** (1 / 3)
+    leaves.normals[:] = generator.permutation(out)
+    ground = plane((-6, -6, 0), (12, 0, 0), (0, 12, 0))
+    hidden = (np.abs(ground.points[:, :2]) < 2.8).all(axis=1) & (np.abs(ground.points[:, :2]) > 2).any(axis=1)
+    return joined(*sides), joined(ground.take(~hidden), leaves)
+
+
+def test_the_building_alone_is_what_stands_with_its_court_and_without_ground_and_trees() -> None:
+    walls, around = court()
+    building, kept = find_building(joined(walls, around), (), SPACING)
+    assert building.tall == pytest.approx(2, abs=0.1)
+    assert kept[: len(walls)].mean() > 0.97
+    in_court = (np.abs(around.points[:, :2]) < 2).all(axis=1)
+    rest = kept[len(walls) :]
+    assert rest[in_court].mean() > 0.97 and rest[~in_court].mean() < 0.01
+
+
+def test_a_mesh_of_the_building_alone_has_no_ground_before_it(tmp_path: Path) -> None:
+    sight = Looks(30.0, sure=False)
+    made = build_mesh(house(), MeshOptions(extent="building"), tmp_path / "scratch", Reporter(), sight)
+    assert made.vertices[:, 2].max() > ROOF - 0.1 and made.vertices[:, 1].min() > -2
+    assert (made.vertices[made.vertices[:, 1] < -1][:, 2] > ROOF - 0.2).all()
+    field = plane((-2, -2, 0), (4, 0, 0), (0, 4, 0))
+    with pytest.raises(MeshError, match="stands on the ground"):
+        build_mesh(field, MeshOptions(extent="building"), tmp_path / "scratch", Reporter(), sight)
 
 
 def test_the_background_stays_where_everything_is_asked_for(tmp_path: Path) -> None:

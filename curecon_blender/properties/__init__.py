@@ -60,7 +60,9 @@ TEXTURE_FORMATS = (
 EXTENTS = (
     ("site", "Site", "Without the background that photos saw only from afar: what no photo shows finer than three "
      "times the usual pixel size"),
-    ("everything", "Everything", "All that was measured"),
+    ("building", "Building Only", "What stands on the ground of the site, with its courts, without the ground around, "
+     "trees and smaller things"),
+    ("everything", "Everything Measured", "All that was measured"),
 )
 LIGHTS = (
     ("PHOTO", "Photos", "The photos' colours as they are, with the light of the day they were taken"),

@@ -167,8 +167,9 @@ class Options:
     fill_holes: bool = field(default=True, metadata=_as(
         "--fill-holes", "close holes in the mesh; what no photo measured is marked as filled", commands=_SURFACES))
     extent: str = field(default="site", metadata=_as(
-        "--extent", "of the mesh: the site, without the background that photos saw only from afar, or everything",
-        commands=_SURFACES, choices=("site", "everything")))
+        "--extent", "of the mesh: the site, without the background that photos saw only from afar, the building that "
+        "stands on it, without the ground around and without trees, or everything",
+        commands=_SURFACES, choices=("site", "building", "everything")))
     max_faces: int | None = field(default=None, metadata=_as(
         "--max-faces", "most triangles of the mesh, in place of the quality's", unit="faces", commands=_SURFACES))
     region: tuple[float, ...] | None = field(default=None, metadata=_as(

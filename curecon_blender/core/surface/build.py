@@ -31,7 +31,7 @@ from ..cloud.ply import Cloud, joined
 from .borders import clip, smoothed
 from .clean import clean, drop_small_parts, orient, worth_keeping
 from .continuation import continued
-from .extent import FAR, NEAR, within
+from .extent import FAR, NEAR, find_building, within
 from .mesh import Mesh, MeshError
 from .poisson import poisson, read_triangles, simplify, write_triangles
 from .sight import Sight, weak_points
@@ -56,7 +56,8 @@ class MeshOptions:
     """How the surface is made.
 
     `fill_holes`: close small holes and mark them as filled; False leaves them open, so that every face was measured.
-    `extent`: "site", without the background that photos saw only from afar, or "everything".
+    `extent`: "site", without the background that photos saw only from afar, "building", what stands on the ground of
+    it, or "everything".
     `max_faces`: simplify to at most so many triangles. `region`: low and high corner of an upright box in the site
     frame; only surface inside it is made.
     """
@@ -94,6 +95,10 @@ def build_mesh(
     if options.fill_holes and sight:
         gaps = continued(cloud.take(within(cloud.points, sight.views, spacing, NEAR)), spacing, sight)
         reporter.log(f"{len(gaps)} points continue walls, roofs and ground over gaps.")
+    if options.extent == "building":
+        building, standing = find_building(cloud, sight.views if sight else (), spacing)
+        cloud, local_spacing = cloud.take(standing), local_spacing[standing]
+        gaps = gaps.take(building.holds(gaps.points, gaps.normals))
     support = Support(cloud, local_spacing, thinned, gaps.points, _GAP_REACH * spacing)
     _begin(reporter, 1)
     vertices, faces = _untrimmed(joined(cloud, gaps), spacing, scratch, reporter, scratch.parent)
@@ -184,7 +189,7 @@ def _measured(
     elif sight is not None:
         reporter.warning("There are no depth maps: what photos looked through is not known, and only small flat holes "
                          "are closed.")
-    if options.extent == "site" and sight is not None:
+    if options.extent != "everything" and sight is not None:
         cloud = cloud.take(within(cloud.points, sight.views, spacing, FAR))
     cloud, local_spacing = remove_outliers(cloud, spacing)
     kept, side = thin(cloud, most_points(options.max_faces), reporter)
