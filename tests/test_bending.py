@@ -16,6 +16,7 @@ from curecon_blender.core.adjust import bending
 from curecon_blender.core.adjust.adjust import adjust_model, lenses_found
 from curecon_blender.core.base.messages import Reporter
 from curecon_blender.core.base.records import SEA_LEVEL, GeoPosition, Photo
+from curecon_blender.core.photos import shutter
 from curecon_blender.core.photos.check import with_one_datum
 
 ABOVE = 45.0
@@ -75,10 +76,10 @@ def test_a_rolling_shutter_moves_the_ground_by_what_the_drone_flies() -> None:
     photos, centres = grid(0.0, 0.0)
     still = [replace(photo, speed=None) for photo in photos]
     focal, above = np.full(30, 1000.0), np.full(30, ABOVE)
-    assert bending.shutter_shift(photos, centres, focal, above) == pytest.approx(5 * 0.023 * 1000 / ABOVE)
-    assert bending.shutter_shift(still, centres, focal, above) is None
+    assert shutter.shutter_shift(photos, centres, focal, above) == pytest.approx(5 * 0.023 * 1000 / ABOVE)
+    assert shutter.shutter_shift(still, centres, focal, above) is None
     mechanical = [replace(photo, camera="DJI FC6310 8.8 mm") for photo in photos]
-    assert bending.shutter_shift(mechanical, centres, focal, above) == 0
+    assert shutter.shutter_shift(mechanical, centres, focal, above) == 0
 
 
 @pytest.mark.parametrize(("seconds", "told"), [(2, True), (9, False)])
@@ -90,7 +91,7 @@ def test_places_and_times_tell_the_speed_where_the_drone_does_not_and_cannot_hav
     start = datetime(2026, 5, 4, 23, 59, 40)
     timed = [replace(photo, speed=None, time=(start + timedelta(seconds=seconds * n)).isoformat())
              for n, photo in enumerate(photos)]
-    shift = bending.shutter_shift(timed[::-1], centres[::-1], np.full(30, 1000.0), np.full(30, ABOVE))
+    shift = shutter.shutter_shift(timed[::-1], centres[::-1], np.full(30, 1000.0), np.full(30, ABOVE))
     assert shift == (pytest.approx(4.5 * 0.023 * 1000 / ABOVE) if told else None)
 
 

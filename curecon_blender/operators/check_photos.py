@@ -54,6 +54,10 @@ class CURECON_OT_check_photos(WorkerOperator, bpy.types.Operator):
         )
         check.overlap_unknown = overlap["unknown"]
         check.weak, check.weak_count = ", ".join(overlap["weak"]), len(overlap["weak"])
+        check.advice.clear()
+        for advice in summary["advice"]:
+            entry = check.advice.add()
+            entry.says, entry.remedy = advice["says"], advice["remedy"]
         check.doubtful.clear()
         check.doubtful_index = 0
         for photo in summary["doubtful"]:

@@ -104,6 +104,9 @@ class CURECON_PT_photos(Panel, bpy.types.Panel):
             column.label(text=iface_("About {:.0f} mm on the ground a pixel").format(check.gsd_mm),
                          icon="DRIVER_DISTANCE")
         self._draw_overlap(context, box, check)
+        for advice in check.advice:
+            paragraph(box, context, advice.says, icon="ERROR")
+            paragraph(box, context, advice.remedy)
         if check.skipped:
             paragraph(box, context, counted(len(check.skipped), "{:,} file left out:", "{:,} files left out:"),
                       icon="ERROR")

@@ -35,6 +35,13 @@ class CURECON_PG_doubtful(bpy.types.PropertyGroup):
     )
 
 
+class CURECON_PG_advice(bpy.types.PropertyGroup):
+    """Why the flight will give a weak model, and what to do."""
+
+    says: StringProperty(name="Weakness", description="What is weak in the flight")
+    remedy: StringProperty(name="Remedy", description="What to do")
+
+
 class CURECON_PG_cost(bpy.types.PropertyGroup):
     """What a quality would cost on this computer, roughly. `name` is the quality and the result, "preview:mesh"."""
 
@@ -85,6 +92,9 @@ class CURECON_PG_check(bpy.types.PropertyGroup):
     )
     weak: StringProperty(name="Little Overlap", description="Names of photos that overlap too little with any other")
     weak_count: IntProperty(name="Little Overlap", description="Photos that overlap too little with any other", min=0)
+    advice: CollectionProperty(
+        type=CURECON_PG_advice, name="Advice", description="Why the flight will give a weak model, the gravest first",
+    )
     doubtful: CollectionProperty(
         type=CURECON_PG_doubtful, name="Doubtful Photos", description="Blurred and badly exposed photos",
     )
@@ -113,4 +123,5 @@ class CURECON_PG_check(bpy.types.PropertyGroup):
     )
 
 
-CLASSES = (CURECON_PG_skipped, CURECON_PG_doubtful, CURECON_PG_cost, CURECON_PG_station, CURECON_PG_check)
+CLASSES = (CURECON_PG_skipped, CURECON_PG_doubtful, CURECON_PG_advice, CURECON_PG_cost, CURECON_PG_station,
+           CURECON_PG_check)

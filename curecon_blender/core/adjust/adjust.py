@@ -15,6 +15,7 @@ import pycolmap
 from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.records import Frame, GeoPosition, Photo, PhotoSet
+from ..photos import shutter
 from ..sparse.models import ADJUSTED, MAPPED, find_models, listed, read_model, write_components
 from ..sparse.placement import BENT, Placement, middle_on_the_ground, place, with_residual
 from ..sparse.record import FRAME_FILE, read_frame
@@ -124,7 +125,7 @@ def _placed(
     doubt = bending.doubt(accuracy.domes, accuracy.focal_sigma, scale_sigma)
     if doubt:
         reporter.warning(Text("{} {}", Text(doubt), Text(bending.REMEDY)))
-    if accuracy.shutter_shift is not None and accuracy.shutter_shift > bending.MOST_SHIFT:
+    if accuracy.shutter_shift is not None and accuracy.shutter_shift > shutter.MOST_SHIFT:
         reporter.warning(
             Text("The drone flew while its photos were read out row by row: by about {:.1f} pixels. That bends the "
                  "model a little. Fly slower, or stop for each photo.", accuracy.shutter_shift)
@@ -192,7 +193,7 @@ def _judged(
         gps=_gps_residuals(model, photos, frame), lenses=found, focal_sigma=focal_sigma,
         domes=(*bending.domes(taken, centres, gps_heights, float(np.median(above))),
                *_control_dome(told, control, frame, float(np.median(above / focal)))) if metres else (),
-        shutter_shift=bending.shutter_shift(taken, centres, focal, above) if metres else None,
+        shutter_shift=shutter.shutter_shift(taken, centres, focal, above) if metres else None,
         control=told,
         left_out=adjusted.left_out if adjusted else (),
     )

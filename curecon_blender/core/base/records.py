@@ -83,6 +83,7 @@ class Photo:
     blurred: bool = False
     overexposed: bool = False  # too much of it is pure white
     underexposed: bool = False  # too much of it is black
+    sky: Annotated[float, Within(0, 1)] = 0.0  # share of it that looks like sky
     digest: str = ""  # of the picture itself: the same in a copy of the file, whatever its name, place and time
 
 

@@ -23,7 +23,7 @@ from ..base.geodesy import altitudes_tell
 from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.records import ELLIPSOID, SEA_LEVEL, UNKNOWN, Photo, PhotoSet, SkippedPhoto
-from . import metadata, overlap, stations
+from . import advice, metadata, overlap, stations
 from .find import Files, find_files, listed, remedy_for
 from .kinds import SURPLUS, Examined, find_surplus, preview_of
 
@@ -118,6 +118,8 @@ def describe(photo_set: PhotoSet) -> dict[str, Any]:
     distance = ground_sampling_distance(photo_set)
     span = time_span(photo_set)
     sizes = Counter((photo.width, photo.height) for photo in photos)
+    found = overlap.estimate(photos)
+    forward, side = (None if share is None else round(share, 2) for share in (found.forward, found.side))
     return {
         "photos": len(photos),
         "cameras": len({photo.camera for photo in photos}),
@@ -127,7 +129,8 @@ def describe(photo_set: PhotoSet) -> dict[str, Any]:
         "with_gimbal": sum(photo.gimbal is not None for photo in photos),
         "ground_sampling_distance_mm": None if distance is None else round(1000 * distance, 2),
         "taken": list(span) if span else None,
-        "overlap": _overlap(photos),
+        "overlap": {"forward": forward, "side": side, "weak": list(found.weak), "unknown": found.unknown},
+        "advice": [{"says": str(one.says), "remedy": str(one.remedy)} for one in advice.advise(photos, found)],
         "stations": stations.describe(photos),
         "doubtful": [
             {"name": photo.name, "path": str(photo.path), "problems": _problems(photo)}
@@ -138,12 +141,6 @@ def describe(photo_set: PhotoSet) -> dict[str, Any]:
             for skip in photo_set.skipped
         ],
     }
-
-
-def _overlap(photos: tuple[Photo, ...]) -> dict[str, Any]:
-    found = overlap.estimate(photos)
-    forward, side = (None if share is None else round(share, 2) for share in (found.forward, found.side))
-    return {"forward": forward, "side": side, "weak": list(found.weak), "unknown": found.unknown}
 
 
 def _pixels(path: Path) -> int:
@@ -176,7 +173,7 @@ def _examine(path: Path) -> Examined | SkippedPhoto:
         time=told.time, sharpness=_sharpness(rgb),
         overexposed=bool((rgb.min(axis=2) >= WHITE).mean() >= OVEREXPOSED),
         underexposed=bool((rgb.max(axis=2) <= BLACK).mean() >= UNDEREXPOSED),
-        digest=hashlib.sha256(rgb.tobytes()).hexdigest(),
+        sky=round(advice.sky_share(rgb), 3), digest=hashlib.sha256(rgb.tobytes()).hexdigest(),
     )
     return Examined(
         photo=photo, hints=told.hints, xmp_fault=told.xmp_fault, zoom=told.zoom, body=(told.body, width, height),
