@@ -58,7 +58,7 @@ def _run(given: argparse.Namespace) -> None:
     if given.command in ("invite", "demo"):
         with parts.database.write() as transaction:
             token = people.invite(transaction, getattr(given, "role", people.MODERATOR), local.CONSOLE.id)
-        print(f"Join by this link: {parts.configuration.address}/desk/#join={token}", flush=True)
+        print(f"{parts.configuration.address}/desk/#join={token}", flush=True)
     if given.command in ("serve", "demo"):
         server.serve(parts)
 

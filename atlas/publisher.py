@@ -160,13 +160,10 @@ class Publisher:
             for file in files[version.id]:
                 if file.path != "site.json" and not self._store.has(f"{folder}/{file.path}", file.size):
                     self._store.copy(f"{HELD}/{version.id}/{file.path}", f"{folder}/{file.path}")
-            if version.number != site.newest:
-                self._write_page(
-                    site, version, f"sites/{site.name}.{version.number}", "", {"newest": f"../{site.name}/"}
-                )
+            more = {} if version.number == site.newest else {"newest": f"../{site.name}/index.html"}
+            self._write_page(site, version, f"sites/{site.name}.{version.number}", "", more)
         newest = versions[-1]
         below = f"../{site.name}.{newest.number}/"
-        self._write_page(site, newest, f"sites/{site.name}.{newest.number}", "", {"newest": f"../{site.name}/"})
         self._store.copy(f"{PUBLIC}/sites/{site.name}.{newest.number}/thumbnail.jpg",
                          f"{PUBLIC}/sites/{site.name}/thumbnail.jpg")
         self._write_page(site, newest, f"sites/{site.name}", below, {"versions": days})

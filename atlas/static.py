@@ -29,7 +29,7 @@ _NAME = re.compile(r"(?:[A-Za-z0-9_-][A-Za-z0-9_.-]*/)*(?:[A-Za-z0-9_-][A-Za-z0-
 _TYPES = {".js": "text/javascript", ".glb": "model/gltf-binary", ".json": "application/json", ".xml": "application/xml"}
 _POLICY = ("default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self' "
            "blob:; "
-           "worker-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors {}")
+           "worker-src 'self'; frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors {}")
 _SECURITY = {"X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer",
              "Cross-Origin-Opener-Policy": "same-origin",
              "Permissions-Policy": "camera=(), microphone=(), geolocation=(), payment=()"}
@@ -39,9 +39,10 @@ for _end, _type in _TYPES.items():
 
 
 def headers(path: str, secure: bool) -> dict[str, str]:
-    """What goes with an answer at a path. Sites may be shown within others' pages; nothing else may."""
-    embedded = path.startswith("/sites/") or path.startswith("/pages/")
-    found = {**_SECURITY, "Content-Security-Policy": _POLICY.format("*" if embedded else "'none'")}
+    """What goes with an answer at a path. Sites may be shown within others' pages, what is held within
+    the atlas's own; nothing else may."""
+    framed = "*" if path.startswith("/sites/") else "'self'" if path.startswith("/held/") else "'none'"
+    found = {**_SECURITY, "Content-Security-Policy": _POLICY.format(framed)}
     if secure:
         found["Strict-Transport-Security"] = "max-age=31536000"
     if path.startswith(("/api/", "/held/", "/metrics", "/health")):

@@ -46,13 +46,40 @@ function marked(site) {
   return said.length ? said.join(" ") : say("nothingFilled");
 }
 
+/** What an atlas adds to a site: its versions, and how others show it. */
+function inAtlas(site) {
+  const parts = [];
+  if (site.versions?.length > 1) {
+    const list = element("ul");
+    for (const one of site.versions) {
+      const entry = element("li");
+      entry.append(element("a", say("version", one.taken ?? one.number, one.day), { href: one.href }));
+      list.append(entry);
+    }
+    parts.push(element("h2", say("versions")), list);
+  }
+  if (site.address) {
+    const field = element("textarea", "", { readonly: "", rows: "3", "aria-label": say("embed") });
+    const frame = element("iframe", "", { src: site.address, title: site.title, width: "800", height: "500" });
+    field.value = frame.outerHTML;
+    parts.push(element("h2", say("embed")), field);
+  }
+  return parts;
+}
+
 /** Fill the panel; `opened` is called with a note's number. */
 export function about(site, panel, opened) {
   const parts = [element("h2", site.title)];
+  if (site.newest) {
+    const older = element("p", `${say("older")} `, { class: "doubt" });
+    older.append(element("a", say("newest"), { href: site.newest }));
+    parts.push(older);
+  }
   if (site.text) parts.push(element("p", site.text));
   if (!site.metres) parts.push(element("p", say("noScale"), { class: "doubt" }));
   if (site.doubt) parts.push(element("p", say("doubt"), { class: "doubt" }));
   parts.push(rows([
+    [say("register"), site.register], [say("period"), site.period?.join(" – ")], [say("tags"), site.tags?.join(", ")],
     [say("credit"), site.credit], [say("licence"), site.licence], [say("taken"), site.taken], [say("where"), where(site)],
     [say("size"), site.surface ? say("faces", whole(site.surface.faces)) : ""],
     [say("points"), site.cloud ? say("pointsOf", whole(site.cloud.points), whole(site.cloud.of)) : ""],
@@ -86,6 +113,7 @@ export function about(site, panel, opened) {
   if (site.film) {
     parts.push(element("h2", say("film")), element("video", "", { src: site.film, controls: "", playsinline: "", preload: "none", poster: "thumbnail.jpg" }));
   }
+  parts.push(...inAtlas(site));
   const keys = element("p");
   keys.append(element("kbd", "← → ↑ ↓"), ` ${say("keysSaid")}`);
   parts.push(element("h2", say("keys")), keys);

@@ -1,15 +1,25 @@
 // SPDX-FileCopyrightText: 2026 CU-Recon authors
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The map and list of all sites, from items.json, a GeoJSON collection of STAC items.
+// The map and list of all sites, from items.json, a GeoJSON collection of STAC items. Where that says so in its links, it
+// is the first of several pages, the map has tiles of its own, and a server searches.
 
 import * as maplibre from "./vendor/maplibre.js";
 import { feature } from "./vendor/topojson.js";
+import { Tiles } from "./tiles.js";
 import { element, say, speak } from "./words.js";
 
 const list = document.getElementById("list");
 const search = document.getElementById("search");
 const here = new URL(".", import.meta.url);
-const items = (await (await fetch(new URL("../items.json", here))).json()).features;
+const root = new URL("../", here);
+const read = async (address) => (await fetch(new URL(address, root))).json();
+const link = (page, rel) => page.links?.find((one) => one.rel === rel)?.href;
+const catalogue = await read("items.json");
+const searched = link(catalogue, "search");
+const tiles = link(catalogue, "tiles") && new Tiles(link(catalogue, "tiles"), root);
+const all = { items: catalogue.features, next: link(catalogue, "next"), count: catalogue.numberMatched ?? catalogue.features.length };
+const known = new Map(all.items.map((item) => [item.id, item]));
+let listing = all; // what the list shows, and the map where it is of a search
 let map = null;
 let marks = [];
 
@@ -20,10 +30,24 @@ function middle(item) {
   return [0, 1].map((axis) => places.reduce((sum, place) => sum + place[axis], 0) / places.length);
 }
 
-function found() {
-  const wanted = search.value.trim().toLowerCase();
-  return items.filter(({ properties: said }) =>
-    [said.title, said.description, said["curecon:place"], said.providers?.[0].name].join("\n").toLowerCase().includes(wanted));
+/** The sites of this page that have what is searched for. */
+function local(wanted) {
+  const items = all.items.filter(({ properties: said }) =>
+    [said.title, said.description, said["curecon:place"], said.providers?.[0].name].join("\n").toLowerCase().includes(wanted.toLowerCase()));
+  return { items, count: items.length };
+}
+
+/** A page of what a server found. */
+function page(answer, wanted) {
+  const next = answer.page < answer.pages ? `${searched}?q=${encodeURIComponent(wanted)}&page=${answer.page + 1}` : null;
+  return { items: answer.features, next, count: answer.numberMatched, wanted };
+}
+
+async function more() {
+  const answer = await read(listing.next);
+  listing.next = listing.wanted ? page(answer, listing.wanted).next : link(answer, "next");
+  listing.items.push(...answer.features);
+  draw();
 }
 
 function about(item) {
@@ -34,9 +58,10 @@ function about(item) {
 }
 
 function draw() {
-  const shown = found();
+  const shown = listing.items;
+  for (const item of shown) known.set(item.id, item);
   document.getElementById("count").textContent =
-    shown.length === 1 ? say("one") : shown.length ? say("many", shown.length) : say("nothing");
+    listing.count === 1 ? say("one") : listing.count ? say("many", listing.count) : say("nothing");
   list.replaceChildren(...shown.map((item) => {
     const entry = element("li");
     const words = element("div");
@@ -49,16 +74,35 @@ function draw() {
     }
     return entry;
   }));
-  map?.getSource("sites")?.setData(points(shown));
+  if (listing.next) {
+    const entry = element("li", "", { class: "more" });
+    const button = element("button", say("more"), { type: "button" });
+    button.addEventListener("click", more);
+    entry.append(button);
+    list.append(entry);
+  }
+  lay();
 }
 
-function points(shown) {
-  return {
-    type: "FeatureCollection",
-    features: shown.filter(middle).map((item) => ({
-      type: "Feature", geometry: { type: "Point", coordinates: middle(item) }, properties: { number: items.indexOf(item) },
-    })),
-  };
+/** Lay on the map what a search found, or else all sites: by their tiles, where there are more than the list has. */
+async function lay() {
+  if (!map?.getSource("sites")) return;
+  const seen = tiles && listing === all ? await tiles.within(map.getBounds(), map.getZoom()) : { sites: listing.items, parts: [] };
+  for (const item of seen.sites) if (!known.has(item.id)) known.set(item.id, item);
+  map.getSource("sites").setData(points(seen));
+  map.getSource("cells").setData(cells(seen.sites));
+}
+
+const collected = (features) => ({ type: "FeatureCollection", features });
+const point = (coordinates, properties) => ({ type: "Feature", geometry: { type: "Point", coordinates }, properties });
+const cells = (items) => collected(items.filter((item) => item.geometry?.type === "Polygon")
+  .map(({ geometry }) => ({ type: "Feature", geometry, properties: {} })));
+
+function points({ sites, parts }) {
+  return collected([
+    ...sites.filter(middle).map((item) => point(middle(item), { id: item.id, count: 1 })),
+    ...parts.map(([id, count, longitude, latitude]) => point([longitude, latitude], { id, count })),
+  ]);
 }
 
 function show(item) {
@@ -74,17 +118,19 @@ function mark() {
   marks.forEach((one) => one.remove());
   const seen = new Set();
   marks = map.querySourceFeatures("sites").flatMap(({ geometry, properties }) => {
-    const key = properties.cluster ? `c${properties.cluster_id}` : properties.number;
+    const key = properties.cluster ? `c${properties.cluster_id}` : `${properties.count}/${properties.id}`;
     if (seen.has(key)) return [];
     seen.add(key);
-    const button = element("button", properties.cluster ? properties.point_count : "", {
-      type: "button", class: properties.cluster ? "cluster" : "pin",
-      "aria-label": properties.cluster ? say("many", properties.point_count) : items[properties.number].properties.title,
+    const count = properties.cluster ? properties.sites : properties.count;
+    const single = count === 1 && !properties.cluster;
+    const button = element("button", single ? "" : count, {
+      type: "button", class: single ? "pin" : "cluster",
+      "aria-label": single && known.has(properties.id) ? known.get(properties.id).properties.title : say("many", count),
     });
     button.addEventListener("click", async (event) => {
       event.stopPropagation();
-      if (!properties.cluster) return show(items[properties.number]);
-      const zoom = await map.getSource("sites").getClusterExpansionZoom(properties.cluster_id);
+      if (single && known.has(properties.id)) return show(known.get(properties.id));
+      const zoom = properties.cluster ? await map.getSource("sites").getClusterExpansionZoom(properties.cluster_id) : map.getZoom() + 2;
       return map.easeTo({ center: geometry.coordinates, zoom });
     });
     return [new maplibre.Marker({ element: button }).setLngLat(geometry.coordinates).addTo(map)];
@@ -95,15 +141,15 @@ function mark() {
 async function start() {
   const world = await (await fetch(new URL("vendor/world.json", here))).json();
   maplibre.setWorkerUrl(new URL("vendor/maplibre-worker.js", here).href);
-  const cells = { type: "FeatureCollection", features: items.filter((item) => item.geometry?.type === "Polygon") };
   map = new maplibre.Map({
     container: "map", attributionControl: false, maxZoom: 12, dragRotate: false, renderWorldCopies: true,
     style: {
       version: 8,
       sources: {
         land: { type: "geojson", data: feature(world, world.objects.land), tolerance: 0.2 },
-        cells: { type: "geojson", data: cells },
-        sites: { type: "geojson", data: points(found()), cluster: true, clusterRadius: 45, clusterMaxZoom: 11 },
+        cells: { type: "geojson", data: cells(all.items) },
+        sites: { type: "geojson", data: points({ sites: tiles ? [] : all.items, parts: [] }), cluster: true, clusterRadius: 45,
+          clusterMaxZoom: 11, clusterProperties: { sites: ["+", ["get", "count"]] } },
       },
       layers: [
         { id: "sea", type: "background", paint: { "background-color": "#c9d8e6" } },
@@ -113,17 +159,38 @@ async function start() {
       ],
     },
   });
-  const places = items.map(middle).filter(Boolean);
+  const places = all.items.map(middle).filter(Boolean);
   if (places.length) {
     const bounds = new maplibre.LngLatBounds();
     places.forEach((place) => bounds.extend(place));
     map.fitBounds(bounds, { padding: 80, maxZoom: 4, duration: 0 });
   }
   map.addControl(new maplibre.NavigationControl({ showCompass: false }));
+  if (tiles) {
+    map.once("load", lay);
+    map.on("moveend", lay);
+  }
   map.on("moveend", mark);
   map.on("idle", mark);
 }
 
-search.addEventListener("input", draw);
+function listUp(found) {
+  listing = found;
+  draw();
+}
+
+let asked = 0;
+let waiting = 0;
+search.addEventListener("input", () => {
+  clearTimeout(waiting);
+  const number = ++asked;
+  const wanted = search.value.trim();
+  if (!wanted) return listUp(all);
+  if (!searched) return listUp(local(wanted));
+  waiting = setTimeout(async () => {
+    const found = page(await read(`${searched}?q=${encodeURIComponent(wanted)}`), wanted);
+    if (number === asked) listUp(found); // no other letter was typed meanwhile
+  }, 250);
+});
 speak(draw);
 await start();

@@ -24,7 +24,9 @@ const WORDS = {
     control: "Control points, RMS", noFigures: "No accuracy report was published.", report: "The full accuracy report (PDF)", notes: "Notes",
     pictures: "Pictures", film: "Film", keys: "Keys", keysSaid: "turn; + − nearer, farther; H whole site; M measure; S section; F guesses; C cloud; Esc end",
     madeBy: "Made by CU-Recon", licences: "Licences of the software", vertexColours: "The surface has no texture: its colours are those of its vertices.",
-    noSurface: "There is no surface of this site: the point cloud is shown.",
+    noSurface: "There is no surface of this site: the point cloud is shown.", more: "Show more", feed: "Feed", contribute: "Add a site",
+    register: "Register", period: "Period", tags: "Tags", versions: "Versions", version: "{}, accepted {}", older: "This is an older version.",
+    newest: "The newest version", embed: "To show it in another page",
   },
   zh: {
     other: "English", sites: "遗址", search: "搜索遗址", one: "1 处遗址", many: "{} 处遗址", nothing: "没有这个名称的遗址。",
@@ -47,7 +49,9 @@ const WORDS = {
     control: "控制点均方根误差", noFigures: "没有发布精度报告。", report: "完整精度报告（PDF）", notes: "注记",
     pictures: "图片", film: "影片", keys: "按键", keysSaid: "旋转；+ − 拉近、拉远；H 全景；M 测量；S 剖切；F 推测；C 点云；Esc 结束",
     madeBy: "由 CU-Recon 制作", licences: "软件许可", vertexColours: "表面没有纹理：颜色取自顶点。",
-    noSurface: "此遗址没有表面：显示点云。",
+    noSurface: "此遗址没有表面：显示点云。", more: "显示更多", feed: "订阅", contribute: "上传遗址",
+    register: "登记号", period: "年代", tags: "标签", versions: "版本", version: "{}，{} 收录", older: "这是较早的版本。",
+    newest: "最新版本", embed: "嵌入其他网页",
   },
 };
 const KEPT = "curecon-language";
@@ -62,6 +66,11 @@ function kept() {
   } catch {
     return null; // a browser that keeps nothing
   }
+}
+
+/** Words that another page says beside these: {en: {...}, zh: {...}}. */
+export function learn(words) {
+  for (const [name, said] of Object.entries(words)) Object.assign(WORDS[name], said);
 }
 
 /** The word's text, its {} filled in order. */
