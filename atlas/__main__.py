@@ -8,7 +8,11 @@ import argparse
 import sys
 from pathlib import Path
 
-from . import configuration, local, operation, people, server
+from sqlalchemy.exc import DBAPIError
+
+from curecon_blender.core.base.errors import WorkspaceError
+
+from . import backup, configuration, local, operation, people, server
 from .problems import Problem
 
 
@@ -26,12 +30,15 @@ def main(arguments: list[str] | None = None) -> int:
     command("invite", "an invitation's link, to make an account by").add_argument(
         "role", choices=people.ROLES, nargs="?", default=people.MODERATOR)
     command("add", "publish a site's folder without the network").add_argument("site", type=Path)
+    command("backup", "write all of it into a new folder").add_argument("folder", type=Path)
+    command("restore", "bring a backup into an atlas that is empty").add_argument("folder", type=Path)
+    command("export", "copy what is public into a new folder, for any web server").add_argument("folder", type=Path)
     command("rebuild", "write all static files anew, as after an update")
     command("demo", "an atlas on this computer with a published folder's sites in it").add_argument("folder", type=Path)
     given = parser.parse_args(arguments)
     try:
         _run(given)
-    except (configuration.ConfigurationError, FileExistsError, Problem) as error:
+    except (configuration.ConfigurationError, Problem, DBAPIError, WorkspaceError, OSError) as error:
         print(error, file=sys.stderr)
         return 2
     return 0
@@ -47,6 +54,13 @@ def _run(given: argparse.Namespace) -> None:
     parts = server.assemble(configuration.read(given.configuration))
     if given.command == "add":
         print(local.add(parts, given.site))
+    if given.command == "backup":
+        print(f"{backup.backup(parts, given.folder.absolute())} files")
+    if given.command == "restore":
+        print(f"{backup.restore(parts, given.folder.absolute())} files")
+        parts.publisher.rebuild()
+    if given.command == "export":
+        print(f"{backup.export(parts, given.folder.absolute())} files")
     if given.command == "rebuild":
         parts.publisher.rebuild()
     if given.command == "demo":

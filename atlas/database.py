@@ -16,7 +16,7 @@ from sqlalchemy import Connection, Engine, Row, create_engine, event, text
 from sqlalchemy.pool import QueuePool
 
 MIGRATIONS = Path(__file__).parent / "migrations"
-_BUSY = 10  # seconds that a statement waits for another's transaction
+_BUSY = 5  # seconds that a statement waits for another's transaction
 _MANY = 500  # rows a statement
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import html
 import json
 import logging
+import socket
 import threading
 from datetime import UTC, datetime
 from typing import Any
@@ -20,7 +21,7 @@ from curecon_blender.core.publish.privacy import Shown
 from . import sites
 from .catalogue import Catalogue
 from .configuration import Configuration
-from .database import Database, identity, now
+from .database import Database, now
 from .records import Site, build
 from .store import HELD, PUBLIC, Store
 
@@ -33,7 +34,8 @@ class Publisher:
     def __init__(self, configuration: Configuration, database: Database, store: Store) -> None:
         self._configuration, self._database, self._store = configuration, database, store
         self._catalogue = Catalogue(configuration, database, store)
-        self._me = identity()
+        # One process listens there at a time: after a crash it is the holder of its own lease.
+        self._me = f"{socket.gethostname()} {configuration.listen}"
         self._wake, self._ended = threading.Event(), False
 
     def wake(self) -> None:
@@ -138,7 +140,7 @@ class Publisher:
                          f'content="{address}/">\n<link rel="alternate" type="application/atom+xml" href="feed.xml">')
         return _replaced(page, '<footer data-word="outline"></footer>',
                          '<footer><span data-word="outline"></span> · <a href="feed.xml" data-word="feed"></a> · '
-                         '<a href="desk/" data-word="contribute"></a></footer>')
+                         f'<a href="{address}/desk/" data-word="contribute"></a></footer>')
 
     # ---- a site
 
@@ -158,7 +160,7 @@ class Publisher:
         for version in versions:
             folder = f"{PUBLIC}/sites/{site.name}.{version.number}"
             for file in files[version.id]:
-                if file.path != "site.json" and not self._store.has(f"{folder}/{file.path}", file.size):
+                if not self._store.has(f"{folder}/{file.path}", file.size):
                     self._store.copy(f"{HELD}/{version.id}/{file.path}", f"{folder}/{file.path}")
             more = {} if version.number == site.newest else {"newest": f"../{site.name}/index.html"}
             self._write_page(site, version, f"sites/{site.name}.{version.number}", "", more)

@@ -203,7 +203,7 @@ def enter(
     transaction.run("DELETE FROM place WHERE site = :name", name=name)
     if about["sealed"]:
         transaction.run("INSERT INTO place VALUES (:name, :sealed, :now)", name=name, sealed=about["sealed"], now=now())
-    words.learn(transaction, name, site.title, site.place, site.text, site.credit, about["register"], *about["tags"])
+    words.learn_site(transaction, name, record, about)
 
 
 def assets(record: dict[str, Any]) -> dict[str, tuple[str, str, list[str]]]:

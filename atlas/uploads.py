@@ -25,6 +25,7 @@ from .people import Person, note
 from .problems import Problem, refused
 from .store import HELD, INCOMING, Store
 
+_RECORD = "site.json"  # the database has what it says
 _LONGEST_CHECK = 3600  # seconds
 _checking = threading.Semaphore(2)  # so that many uploads that end at once take no more memory than two
 
@@ -144,7 +145,7 @@ class Uploads:
         with self._database.read() as transaction:
             row = self._own(transaction, person, upload)
             if row.state == "done":
-                return {"version": row.version}
+                return self._done(transaction, upload)
             missing = transaction.value("SELECT count(*) FROM upload_file WHERE upload = :id AND received < "
                                         "size", id=upload)
             if missing:
@@ -169,10 +170,23 @@ class Uploads:
             if problem.code == "refused":
                 self._drop(person.id, upload, problem.said)
             raise
+        except FileNotFoundError:  # the same request, made twice at once: the other one was done with the chunks
+            self._store.remove_folder(f"{HELD}/{version}")
+            with self._database.read() as transaction:
+                if self._own(transaction, person, upload).state == "done":
+                    return self._done(transaction, upload)
+            raise
         except BaseException:
             self._store.remove_folder(f"{HELD}/{version}")
             raise
         return self._hold(person, row, files, version, site, doubts)
+
+    @staticmethod
+    def _done(transaction: Transaction, upload: str) -> dict[str, Any]:
+        row = transaction.one("SELECT version.id AS version, site, doubts FROM upload JOIN version ON version.id = "
+                              "upload.version WHERE upload.id = :id", id=upload)
+        assert row is not None
+        return {"version": row.version, "site": row.site, "doubts": json.loads(row.doubts)}
 
     def _together(self, file: File, objects: list[str], version: str) -> bytes:
         content = b"".join(map(self._store.get, objects))
@@ -191,7 +205,7 @@ class Uploads:
                                    "'open'",
                                    version=version, id=upload.id):
                 self._store.remove_folder(f"{HELD}/{version}")  # the same request, made twice at once
-                return {"version": transaction.value("SELECT version FROM upload WHERE id = :id", id=upload.id)}
+                return self._done(transaction, upload.id)
             name = self._name(transaction, person, site.id)
             transaction.run(
                 "INSERT INTO version VALUES (:id, :site, NULL, 'held', :account, :now, NULL, NULL, '', :record, "
@@ -199,7 +213,7 @@ class Uploads:
                 ":doubts, :bytes)", id=version, site=name, account=person.id, now=now(), bytes=size, about=upload.about,
                 record=json.dumps(site.as_json(), ensure_ascii=False), doubts=json.dumps(doubts))
             transaction.many("INSERT INTO version_file VALUES (:version, :path, :size, :sha256)",
-                             [{"version": version, **asdict(file)} for file in files])
+                             [{"version": version, **asdict(file)} for file in files if file.path != _RECORD])
             transaction.run("DELETE FROM chunk WHERE upload = :id", id=upload.id)
             transaction.run("DELETE FROM upload_file WHERE upload = :id", id=upload.id)
             note(transaction, person.id, "hold", version, name)

@@ -43,6 +43,12 @@ def learn(transaction: Transaction, name: str, *texts: str) -> None:
                     words=" ".join(cut(text) for text in texts)[:200_000])
 
 
+def learn_site(transaction: Transaction, name: str, record: dict[str, Any], about: dict[str, Any]) -> None:
+    """Have a site found by what its newest version says."""
+    learn(transaction, name, record["title"], record["place"], record["text"], record["credit"], about["register"],
+          *about["tags"])
+
+
 def forget(transaction: Transaction, name: str) -> None:
     transaction.run("DELETE FROM words WHERE name = :name", name=name)
 

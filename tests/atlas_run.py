@@ -181,7 +181,7 @@ class Atlas:
                     return
             except OSError:
                 pass
-            assert self.process.poll() is None and time.monotonic() < ends, self.log
+            assert self.process.poll() is None and time.monotonic() < ends, self.log[-3000:]
             time.sleep(0.05)
 
     def stop(self, how: int = signal.SIGTERM) -> int:
@@ -214,7 +214,7 @@ class Atlas:
             b"atlas_changed 0.0"
             not in self.visitor.ask("GET", "/metrics", Authorization="Bearer 0123456789abcdef").body
         ):
-            assert time.monotonic() < ends, self.log
+            assert time.monotonic() < ends, self.log[-3000:]
             time.sleep(0.05)
 
 
