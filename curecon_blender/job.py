@@ -13,7 +13,7 @@ import subprocess
 import tempfile
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
@@ -136,14 +136,15 @@ class Job:
     """A running worker. `poll` never blocks; messages come in order and end with one Result or Failure.
 
     `arguments` are the worker's own ("reconstruct", PHOTOS, ...); `python` is the interpreter; `import_paths` are the
-    folders put on its PYTHONPATH, of which one holds the package `curecon_blender`. What it says on stderr is added to
+    folders put on its PYTHONPATH, of which one holds the package `curecon_blender`; `environment` are variables of its
+    own. What it says on stderr is added to
     a log in the `workspace`, on a thread: a drive that stalls must not hold Blender up. Raises WorkerError when the
     interpreter cannot be started.
     """
 
     def __init__(
         self, arguments: Sequence[str], *, python: Path | str, import_paths: Sequence[Path | str],
-        workspace: Path | None, grace: float = CANCEL_GRACE,
+        workspace: Path | None, grace: float = CANCEL_GRACE, environment: Mapping[str, str] | None = None,
     ) -> None:
         self.log: Path | None = None  # once it has been opened
         self.cancelled = False
@@ -151,6 +152,7 @@ class Job:
         self._grace = grace
         self._messages: queue.SimpleQueue[Message] = queue.SimpleQueue()
         self._arguments, self._python, self._import_paths = [*arguments], str(python), [*import_paths]
+        self._environment = dict(environment or {})
         self._stage = ""  # that the worker is at
         self._starting = threading.Lock()  # a worker must not be started anew while it is cancelled
         self._process = self._start()
@@ -160,7 +162,7 @@ class Job:
     def _start(self) -> subprocess.Popen[bytes]:
         # Blender's own PYTHONHOME would lead another Python to the wrong standard library.
         environment = {name: value for name, value in os.environ.items() if name != "PYTHONHOME"}
-        environment |= {
+        environment |= self._environment | {
             "PYTHONPATH": os.pathsep.join(str(path) for path in self._import_paths),
             "PYTHONUTF8": "1", "PYTHONUNBUFFERED": "1", "PYTHONDONTWRITEBYTECODE": "1",
         }

@@ -39,6 +39,8 @@ class Settings:
     cache: Path | None = None
     sound: bool = False
     indexes: tuple[str, ...] = ()
+    atlas: str = ""
+    atlas_token: str = ""
 
     @property
     def is_blenders(self) -> bool:
@@ -85,5 +87,6 @@ def settings(context: bpy.types.Context) -> Settings:
         worker_python=Path(bpy.path.abspath(preferences.worker_python or sys.executable)),
         scheduler=preferences.scheduler.strip(),
         cache=Path(bpy.path.abspath(preferences.cache)) if preferences.cache else None, sound=preferences.sound,
-        indexes=tuple(preferences.indexes.split()),
+        indexes=tuple(preferences.indexes.split()), atlas=preferences.atlas.strip(),
+        atlas_token=preferences.atlas_token.strip(),
     )

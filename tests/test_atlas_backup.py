@@ -33,7 +33,8 @@ def full(made_once: MakeOnce[Atlas]) -> Atlas:
         }
         with running(folder / "a") as atlas:
             contributor, moderator = atlas.somebody(name="Conrad"), atlas.somebody("moderator", "Moira")
-            for title, added in (("Gate", {}), ("Gate", {"tags": ["土楼"]}), ("Secret", {"exact": PLACE}), ("Gone", {})):
+            for title, added in (("Gate", {}), ("Gate", {"tags": ["土楼"]}), ("Secret", {"exact": PLACE}),
+                                 ("Gone", {})):
                 version = contributor.upload(listed(sites[title]), **added).said["version"]
                 assert moderator.ask("POST", f"/api/versions/{version}/accept", {}).status == 200
             contributor.ask("POST", "/api/sites/gone/remove", {"why": "x"})

@@ -41,13 +41,14 @@ from . import (
     reconstruct,
     self_check,
     take_frames,
+    upload,
 )
 
 CLASSES: tuple[type, ...] = (
     *choose_photos.CLASSES, *check_photos.CLASSES, *reconstruct.CLASSES, *make_model.CLASSES, *presets.CLASSES,
     *import_workspace.CLASSES, *import_comparison.CLASSES,
     *build_surface.CLASSES, *export_surface.CLASSES, *export_cloud.CLASSES, *accuracy_report.CLASSES,
-    *deliver.CLASSES, *publish.CLASSES,
+    *deliver.CLASSES, *publish.CLASSES, *upload.CLASSES,
     *present_elevations.CLASSES, *present_moves.CLASSES, *present_renders.CLASSES, *present_photos.CLASSES,
     *present_sun.CLASSES,
     *frame_scale.CLASSES, *frame_level.CLASSES, *frame_north.CLASSES, *frame_ground.CLASSES, *frame_reset.CLASSES,

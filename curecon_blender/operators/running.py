@@ -36,7 +36,7 @@ STAGE_NAMES = {
     "laz": "LAZ Cloud", "copc": "COPC Cloud", "e57": "E57 Cloud", "orthomosaic": "Orthomosaic", "dsm": "Surface Model",
     "facades": "Façades", "contours": "Contours", "sections": "Sections",
     "levels": "Levels of Detail", "tiles": "Tiles", "cloud": "Point cloud", "pages": "Web Pages",
-    "gaps": "Gaps",
+    "gaps": "Gaps", "upload": "Upload",
 }
 
 status = Status()
@@ -46,12 +46,16 @@ panel = ""
 _job: Job | None = None
 
 
-def start(context: bpy.types.Context, task: str, arguments: list[str], workspace: Path | None) -> None:
+def start(
+    context: bpy.types.Context, task: str, arguments: list[str], workspace: Path | None,
+    environment: dict[str, str] | None = None,
+) -> None:
     """Start a worker. Raises WorkerError when it cannot be started."""
     global _job, status
     chosen = settings(context)
     status = Status(task=task, running=True)
-    _job = Job(arguments, python=chosen.worker_python, import_paths=chosen.import_paths, workspace=workspace)
+    _job = Job(arguments, python=chosen.worker_python, import_paths=chosen.import_paths, workspace=workspace,
+               environment=environment)
 
 
 def idle(operator: type[bpy.types.Operator]) -> bool:
@@ -257,8 +261,12 @@ class WorkerOperator(ModalOperator):
         """The job's workspace folder, if it has one."""
         return None
 
+    def environment(self, context: bpy.types.Context) -> dict[str, str]:
+        """What the worker is told by variables, as its arguments can be seen by other programs."""
+        return {}
+
     def work(self, context: bpy.types.Context) -> Work:
-        start(context, self.task, self.arguments(context), self.workspace(context))
+        start(context, self.task, self.arguments(context), self.workspace(context), self.environment(context))
         while not poll():
             yield None
         if status.failure is not None:

@@ -61,6 +61,16 @@ class CURECON_AP_preferences(bpy.types.AddonPreferences):
     credit: StringProperty(
         name="Credit", description="Who is to be named with what you export, where a file does not say another",
     )
+    atlas: StringProperty(
+        name="Atlas", description="Address of the atlas that Upload to Atlas sends sites to, beginning with https://",
+    )
+    atlas_token: StringProperty(
+        name="Atlas Token",
+        description="Made on your page of the atlas. It can upload in your name and nothing else. Blender keeps it "
+                    "with "
+                    "the preferences, as it is",
+        subtype="PASSWORD",
+    )
     sound: BoolProperty(
         name="Sound at the End", description="A tone when a job of more than a minute is done", default=False,
     )
@@ -77,6 +87,8 @@ class CURECON_AP_preferences(bpy.types.AddonPreferences):
         layout.prop(self, "credit")
         layout.prop(self, "licence")
         layout.prop(self, "sound")
+        layout.prop(self, "atlas")
+        layout.prop(self, "atlas_token")
         layout.prop(self, "indexes", placeholder="pypi.org and pytorch.org")
         _draw_check(layout, context)
 

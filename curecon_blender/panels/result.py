@@ -72,6 +72,7 @@ def _draw_publish(layout: bpy.types.UILayout, context: bpy.types.Context, result
     row.operator("curecon.publish", icon="WORLD")
     if result.published:
         row.operator("curecon.view_pages", text="", icon="URL")
+        column.operator("curecon.upload", icon="EXPORT")
     column.operator("curecon.add_note", icon="TEXT")
     note = context.active_object
     if is_note(note):
