@@ -12,17 +12,20 @@ from typing import Annotated, Any
 
 from curecon_blender.core.base.options import EXACT
 from curecon_blender.core.base.reading import Within, build
+from curecon_blender.core.publish import film
 
 from . import pictures, records, tiles
 from .configuration import Limits
 from .problems import Problem, refused
 
 _MOST_RECORD = 1 << 20
+_MOST_FILM = 64 << 20
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 # What a site's folder may hold, and the most bytes of each. Pages are the atlas's own; a PDF nobody can check.
 _KINDS = (
     (re.compile(r"site\.json"), _MOST_RECORD), (re.compile(r"thumbnail\.jpg"), 1 << 20),
     (re.compile(r"pictures/([1-9]|[1-3]\d|40)\.jpg"), pictures.MOST_PICTURE),
+    (re.compile(re.escape(records.FILM)), _MOST_FILM),
     (re.compile(r"(surface|cloud)/tileset\.json"), tiles.MOST_TILESET),
     (re.compile(r"surface/earth\.json"), _MOST_RECORD),
     (re.compile(r"(surface|cloud)/(0|[1-9]\d{0,5})\.glb"), tiles.MOST_TILE),
@@ -32,7 +35,7 @@ _KINDS = (
 @dataclass(frozen=True, kw_only=True)
 class File:
     path: str
-    size: Annotated[int, Within(1, tiles.MOST_TILE)]
+    size: Annotated[int, Within(1, _MOST_FILM)]
     sha256: str
 
 
@@ -68,7 +71,7 @@ def check(files: tuple[File, ...], get: Callable[[File], bytes]) -> tuple[record
     by_path = {file.path: file for file in files}
     site, doubts = records.site(get(by_path["site.json"]))
     exact = site.location == EXACT
-    expected = {"site.json", "thumbnail.jpg", *site.pictures}
+    expected = {"site.json", "thumbnail.jpg", *site.pictures, *([site.film] if site.film else [])}
     for kind in ("surface", "cloud"):
         own = {path for path in by_path if path.startswith(f"{kind}/")}
         if not getattr(site, kind):
@@ -87,9 +90,20 @@ def check(files: tuple[File, ...], get: Callable[[File], bytes]) -> tuple[record
     if expected != set(by_path):
         wrong = min(expected ^ set(by_path))
         raise refused(f"{wrong} is {'missing' if wrong in expected else 'a file that the site does not name'}.")
+    if site.film:
+        _check_film(get(by_path[site.film]))
     for path in ("thumbnail.jpg", *site.pictures):
         try:
             pictures.jpeg(get(by_path[path]), metadata=exact)
         except (ValueError, struct.error) as error:
             raise refused(f"{path}: {error}.") from error
     return site, doubts
+
+
+def _check_film(content: bytes) -> None:
+    """A film that has nothing left to be blanked, as *Publish* writes it. Raises Problem."""
+    try:
+        if film.without_metadata(content) != content:
+            raise ValueError("it carries more than its pictures, which may tell the place")
+    except (ValueError, RecursionError) as error:
+        raise refused(f"{records.FILM}: {error}.") from error

@@ -177,6 +177,8 @@ class Publisher:
         for kind in ("surface", "cloud"):
             if record[kind]:
                 record[kind]["tileset"] = below + record[kind]["tileset"]
+        if record.get("film"):
+            record["film"] = below + record["film"]
         record["pictures"] = [below + name for name in record["pictures"]]
         address = f"{self._configuration.address}/sites/{site.name}/"
         record |= {"id": site.name, "address": address, **about, **more}

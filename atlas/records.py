@@ -19,6 +19,7 @@ from curecon_blender.core.publish.records import About
 
 from .problems import refused
 
+FILM = "film.mp4"
 NEAR = 20_000.0  # site units about the middle: no coordinates of a country's grid or of the Earth are so small
 _KEPT_INVISIBLE = "\u200c\u200d\u200e\u200f\u061c"  # joiners and marks that some scripts are written with
 # Two numbers that may be degrees, or one with a compass point: a moderator looks whether the text tells the place.
@@ -75,6 +76,7 @@ class Surface:
     textured: bool
     filled: _Share
     unseen: _Share
+    weak: _Share = 0.0
     tileset: _Tileset
 
 
@@ -124,6 +126,7 @@ class Site:
     notes: tuple[Note, ...]
     pictures: tuple[Annotated[str, _Words(40)], ...]
     report: Annotated[str, _Words(40)] | None
+    film: Annotated[str, OneOf(FILM)] | None = None
 
     @property
     def said(self) -> About:

@@ -27,13 +27,13 @@ from .store import HELD, PUBLIC
 DESK = Path(__file__).parent / "desk"
 _NAME = re.compile(r"(?:[A-Za-z0-9_-][A-Za-z0-9_.-]*/)*(?:[A-Za-z0-9_-][A-Za-z0-9_.-]*)?")
 _TYPES = {".js": "text/javascript", ".glb": "model/gltf-binary", ".json": "application/json", ".xml": "application/xml"}
-_POLICY = ("default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self' "
-           "blob:; "
-           "worker-src 'self'; frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors {}")
+_POLICY = ("default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; media-src 'self'; "
+           "connect-src 'self' blob:; worker-src 'self'; "
+           "frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors {}")
 _SECURITY = {"X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer",
              "Cross-Origin-Opener-Policy": "same-origin",
              "Permissions-Policy": "camera=(), microphone=(), geolocation=(), payment=()"}
-_VERSION = re.compile(r"sites/[a-z0-9-]+\.\d+/.+\.(glb|jpg)")
+_VERSION = re.compile(r"sites/[a-z0-9-]+\.\d+/.+\.(glb|jpg|mp4)")
 for _end, _type in _TYPES.items():
     mimetypes.add_type(_type, _end)
 

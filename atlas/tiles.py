@@ -18,6 +18,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from curecon_blender.core.base.reading import OneOf, Within, build, parse_json
+from curecon_blender.core.publish.glb import MATERIALS
 
 from . import pictures
 from .problems import refused
@@ -191,7 +192,7 @@ class _Look:
 
 @dataclass(frozen=True, kw_only=True)
 class _Material:
-    name: Annotated[str, OneOf("measured", "filled", "unseen")]
+    name: Annotated[str, OneOf(*MATERIALS)]
     extensions: dict
     doubleSided: bool = False  # noqa: N815
     pbrMetallicRoughness: _Look | None = None  # noqa: N815
@@ -242,7 +243,7 @@ class _Glb:
         self.gltf: _Gltf = self._json()
         gltf = self.gltf
         for kind, most in (("scenes", 1), ("nodes", 1), ("meshes", 1), ("buffers", 1), ("images", 1), ("samplers", 1),
-                           ("textures", 1), ("materials", 3), ("accessors", 20), ("bufferViews", 20)):
+                           ("textures", 1), ("materials", len(MATERIALS)), ("accessors", 20), ("bufferViews", 20)):
             if len(getattr(gltf, kind)) > most:
                 raise ValueError(f"more {kind} than publishing writes")
         if (

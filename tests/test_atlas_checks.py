@@ -182,6 +182,26 @@ def test_a_picture_that_tells_the_place(files: Callable[[str], dict[str, bytes]]
     checked({**files(EXACT), "pictures/1.jpg": told.getvalue()})
 
 
+def test_a_film_that_tells_more_than_its_pictures(files: Callable[[str], dict[str, bytes]]) -> None:
+    def box(kind: bytes, body: bytes) -> bytes:
+        return struct.pack(">I4s", 8 + len(body), kind) + body
+
+    handler = box(b"hdlr", bytes(8) + b"vide" + bytes(13))
+    sound = box(b"ftyp", b"isom") + box(b"moov", box(b"trak", box(b"mdia", handler))) + box(b"mdat", b"pictures")
+    whole = edited({**files(HIDDEN), "film.mp4": sound}, "site.json", "film", to="film.mp4")
+    assert checked(whole) == []
+    for told in (
+        sound + box(b"uuid", b"24.65 117.05"),
+        sound.replace(handler, box(b"hdlr", bytes(8) + b"vide" + b"x" * 13)),
+        sound.replace(b"vide", b"soun"),
+        sound[:-3],
+        b"\0\0\0\x08free",
+        b"<html>",
+    ):
+        assert "film.mp4" in refusal({**whole, "film.mp4": told})
+    assert "does not name" in refusal({**whole, "site.json": files(HIDDEN)["site.json"]})
+
+
 def test_pictures_that_are_none(files: Callable[[str], dict[str, bytes]]) -> None:
     sound = files(CELL)["pictures/1.jpg"]
     bomb = io.BytesIO()

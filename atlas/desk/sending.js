@@ -4,7 +4,7 @@
 
 import { ask, Refusal } from "./asking.js";
 
-const TAKEN = /^(site\.json|thumbnail\.jpg|pictures\/\d+\.jpg|(surface|cloud)\/(tileset\.json|earth\.json|\d+\.glb))$/;
+const TAKEN = /^(site\.json|thumbnail\.jpg|film\.mp4|pictures\/\d+\.jpg|(surface|cloud)\/(tileset\.json|earth\.json|\d+\.glb))$/;
 const ATTEMPTS = 5;
 
 /** The published sites among files of a folder: by their names, each a map of files by their paths in it. */

@@ -24,7 +24,7 @@ from .records import PublishError
 
 STAGE = "upload"
 _TAKEN = re.compile(
-    r"(site\.json|thumbnail\.jpg|pictures/\d+\.jpg|(surface|cloud)/(tileset\.json|earth\.json|\d+\.glb))"
+    r"(site\.json|thumbnail\.jpg|film\.mp4|pictures/\d+\.jpg|(surface|cloud)/(tileset\.json|earth\.json|\d+\.glb))"
 )
 _LARGEST = 64 << 20  # bytes of a file
 _MOST_ANSWER = 8 << 20
