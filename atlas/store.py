@@ -20,6 +20,8 @@ class Store:
     """`put`, `get` and `size` raise OSError; FileNotFoundError where there is nothing of that name."""
 
     def __init__(self, url: str, options: dict[str, Any]) -> None:
+        if "://" in url:
+            options = {"use_listings_cache": False, **options}  # other machines write, too
         self.files, self._root = fsspec.core.url_to_fs(url, **options)
         self.is_folder = "file" in (self.files.protocol if isinstance(self.files.protocol, tuple)
                                     else (self.files.protocol,))
@@ -95,8 +97,6 @@ class Store:
     def names(self, folder: str) -> Iterator[tuple[str, int]]:
         """What lies in a folder and below, with its size; nothing where there is none."""
         prefix = len(self._at(""))
-        if not self.is_folder:
-            self.files.invalidate_cache()
         for path, facts in self.files.find(self._at(folder), detail=True).items():
             name = str(path)[prefix:]
             if not name.endswith(".partial"):
@@ -104,8 +104,6 @@ class Store:
 
     def folders(self, folder: str) -> list[str]:
         """The folders right in a folder, by their own names."""
-        if not self.is_folder:
-            self.files.invalidate_cache()
         try:
             found = self.files.ls(self._at(folder), detail=True)
         except FileNotFoundError:
