@@ -15,7 +15,7 @@ from test_extension import blender, run_script  # noqa: F401
 from curecon_blender.core.base.errors import SurfaceError, WorkspaceError
 from curecon_blender.core.base.records import Photo, PhotoSet
 from curecon_blender.core.photos import capture, record
-from curecon_blender.core.present import camera_path, marks, sheet, sheet_files, sun
+from curecon_blender.core.present import camera_path, marks, sheet, sheet_files, sun, terrain
 from curecon_blender.core.site import footprint
 
 GREENWICH = (51.4779, 0.0)
@@ -214,6 +214,25 @@ def test_a_legend_tells_what_hatchings_mean() -> None:
     # In the free strip between the drawing and the title.
     assert all(line[..., 1].min() > sheet.MARGIN + sheet.STRIP and line[..., 1].max() < laid.pictures[0].y
                for line in added)
+
+
+def test_a_plain_ground_lies_under_the_sites_own_and_not_on_its_roofs() -> None:
+    rng = np.random.default_rng(2)
+    plan = rng.uniform(-20, 20, (40_000, 2))
+    roof = (np.abs(plan - (8, 0)) < 4).all(axis=1)
+    hole = (np.abs(plan + (8, 0)) < 4).all(axis=1) | roof & (rng.random(len(plan)) < 0.01)
+    height = 0.1 * plan[:, 0] + rng.normal(0, 0.02, len(plan)) + np.where(roof, 6.0, 0.0)
+    points = np.column_stack([plan, height])[~hole]
+    colours = np.where(points[:, :1] < 0, (0.1, 0.4, 0.1), (0.4, 0.2, 0.1))
+    made = terrain.spread(points, np.tile([0.0, 0.0, 1.0], (len(points), 1)), colours, np.zeros(3), 28.0, 8.0,
+                          (0.3, 0.3, 0.3))
+    x, _, z = made.points[(np.abs(made.points[..., :2]) < 19).all(axis=2)].T
+    assert (z < 0.1 * x + 0.03).mean() > 0.97 and (z > 0.1 * x - 0.9).all()
+    in_hole = (np.abs(made.points[..., :2] + (8, 0)) < 3).all(axis=2)
+    np.testing.assert_allclose(made.colours[in_hole][:, :3].mean(axis=0), (0.1, 0.4, 0.1), atol=0.05)
+    assert made.colours[in_hole][:, 3].min() > 0.95 and made.colours[0, :, 3].max() < 0.01  # and it melts away
+    a, b, c = (made.points.reshape(-1, 3)[made.faces[:, k]] for k in range(3))
+    assert (np.cross(b - a, c - a)[:, 2] > 0).all()
 
 
 def test_the_sun_falls_as_on_the_day_of_the_photos(blender: Path, tmp_path: Path) -> None:  # noqa: F811

@@ -15,7 +15,8 @@ from ..core.base.language import Text
 from ..core.photos import capture
 from ..core.present import sun
 from ..languages import translated
-from ..scene import daylight, render_scene, site, view
+from ..scene import daylight, ground, render_scene, site, view
+from ..scene.surface import surfaces_of
 from . import paths, running
 
 
@@ -64,6 +65,49 @@ class CURECON_OT_remove_sun(bpy.types.Operator):
         return {"FINISHED"}
 
 
+class CURECON_OT_lay_ground(bpy.types.Operator):
+    """Lay a plain ground just under the site, of its colours around, so that pictures do not float.
+
+It is no part of the record: sheets and exports leave it out"""
+
+    bl_idname = "curecon.lay_ground"
+    bl_label = "Lay Ground"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not paths.site_stands(cls, context):
+            return False
+        if surfaces_of(context.scene):
+            return True
+        cls.poll_message_set("Build the mesh first: the ground takes its heights and colours")
+        return False
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        scene = context.scene
+        ground.add(scene, site.box(scene), surfaces_of(scene)[0])
+        return {"FINISHED"}
+
+
+class CURECON_OT_remove_ground(bpy.types.Operator):
+    """Take the plain ground away"""
+
+    bl_idname = "curecon.remove_ground"
+    bl_label = "Remove Ground"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if ground.is_there(context.scene):
+            return True
+        cls.poll_message_set("There is no ground of CU-Recon in the scene")
+        return False
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        ground.remove(context.scene)
+        return {"FINISHED"}
+
+
 def _set_sun(scene: bpy.types.Scene) -> tuple[str, str]:
     """Returns the report's level and its words. Raises CuReconError."""
     properties = scene.curecon
@@ -98,4 +142,4 @@ def _set_sun(scene: bpy.types.Scene) -> tuple[str, str]:
     return ("WARNING" if len(said) > 1 else "INFO"), " ".join(said)
 
 
-CLASSES = (CURECON_OT_set_sun, CURECON_OT_remove_sun)
+CLASSES = (CURECON_OT_set_sun, CURECON_OT_remove_sun, CURECON_OT_lay_ground, CURECON_OT_remove_ground)

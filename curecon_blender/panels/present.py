@@ -12,7 +12,7 @@ from bpy.app.translations import pgettext_iface as iface_
 from ..languages import translated
 from ..operators import rendering
 from ..operators.present_moves import KINDS
-from ..scene import cameras, daylight, render_scene, site
+from ..scene import cameras, daylight, ground, render_scene, site
 from .layout import Panel, paragraph
 
 
@@ -66,6 +66,10 @@ class CURECON_PT_present_sun(_Part, bpy.types.Panel):
             layout.prop(present, "sky_only")
             if not present.sky_only:
                 layout.label(text="Adds to the photos' shadows", icon="INFO")
+        row = layout.row(align=True)
+        row.operator("curecon.lay_ground", icon="MESH_GRID")
+        if ground.is_there(context.scene):
+            row.operator("curecon.remove_ground", text="", icon="X")
 
 
 class CURECON_PT_present_moves(_Part, bpy.types.Panel):

@@ -21,7 +21,8 @@ SKIES = {"NISHITA": 0.06, "MULTIPLE_SCATTERING": 0.035}
 OVERCAST_NAME = "Overcast"
 OVERCAST = 0.9  # of the even light: white under it comes to just under 1
 BEFORE_KEY = "curecon_before"  # on our world: the one that it took the place of
-HORIZON = 0.02  # z of the lowest direction looked up in the sky: below it is black ground, not haze
+SEEN = 2.0  # times as bright as it lights, the sky is seen: as a photo exposed for the building shows it
+HORIZON = 0.08  # z of the lowest direction looked up in the sky: below it is black ground, not haze
 
 
 def shine(scene: bpy.types.Scene, about: Box, azimuth: float, altitude: float, north: float = 0.0) -> None:
@@ -83,7 +84,6 @@ def _sky(tree: bpy.types.NodeTree, direction: bpy.types.NodeSocket) -> bpy.types
     tree.links.new(direction, above.inputs[0])
     tree.links.new(above.outputs[0], unit.inputs[0])
     tree.links.new(unit.outputs[0], sky.inputs["Vector"])
-    tree.links.new(sky.outputs[0], background.inputs["Color"])
     # Surfaces may be lit evenly, while who looks up sees the sky.
     seen, unseen, switch = (tree.nodes.new(f"ShaderNode{kind}") for kind in ("LightPath", "Math", "Math"))
     even, both = tree.nodes.new("ShaderNodeBackground"), tree.nodes.new("ShaderNodeMixShader")
@@ -92,7 +92,12 @@ def _sky(tree: bpy.types.NodeTree, direction: bpy.types.NodeSocket) -> bpy.types
     switch.name = switch.label = OVERCAST_NAME
     even.name = even.label = f"{OVERCAST_NAME} Light"
     even.inputs["Color"].default_value, even.inputs["Strength"].default_value = (1, 1, 1, 1), OVERCAST
+    brightness, scaled = tree.nodes.new("ShaderNodeMath"), tree.nodes.new("ShaderNodeVectorMath")
+    brightness.operation, scaled.operation = "MULTIPLY_ADD", "SCALE"
+    brightness.inputs[1].default_value, brightness.inputs[2].default_value = SEEN - 1, 1.0
     for source, target in (
+        (seen.outputs["Is Camera Ray"], brightness.inputs[0]), (brightness.outputs[0], scaled.inputs["Scale"]),
+        (sky.outputs[0], scaled.inputs[0]), (scaled.outputs[0], background.inputs["Color"]),
         (seen.outputs["Is Camera Ray"], unseen.inputs[1]), (unseen.outputs[0], switch.inputs[0]),
         (switch.outputs[0], both.inputs[0]), (background.outputs[0], both.inputs[1]), (even.outputs[0], both.inputs[2]),
     ):

@@ -18,7 +18,7 @@ from ..core.present import marks, sheet, sheet_files
 from ..core.present.marks import Hatching
 from ..core.present.sheet import Drawing, Mark
 from ..core.site.measuring import SHOWN
-from . import render_scene, site, surface
+from . import ground, render_scene, site, surface
 from .frame import Part
 from .lettering import letters_but
 
@@ -66,6 +66,7 @@ def plan(scene: bpy.types.Scene, stage: bpy.types.Scene, folder: Path) -> Plan:
     pixels_per_mm = render_scene.QUALITIES[present.quality].sheet_pixels_per_mm
     known = site.known(scene)
     scale = int(present.sheet_scale) if known.metres else None
+    ground.leave_out(stage)
     has_facts = render_scene.add_facts(stage)
     render_scene.show_fronts_only(stage)
     surface.light(stage, by_scene=present.sheet_light == "SCENE")

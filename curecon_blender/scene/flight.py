@@ -19,7 +19,10 @@ LENS, SENSOR = 35.0, cameras.SENSOR_WIDTH  # millimetres
 WIDE = 16 / 9  # a film's width over its height
 MARGIN = 1.05  # of the distance at which the building fills the picture
 FILM_SIZE = (1920, 1080)
-STEEPEST = 22.0  # degrees that stills from the side look down, or no sky would be seen behind what is slim
+STEEPEST = 18.0  # degrees that stills from the side look down, or no sky would be seen
+CORE = 0.7  # of the box in plan: what a still must not cut off when it looks above the middle
+LIFT = 2.5  # degrees at most that they look above the site's middle
+FRINGE = 10.0  # per cent of the points on each side, which stills need not show whole
 STILL, STILL_NAME = "STILL", "CU-Recon Still"
 NAMES = {"ORBIT": "CU-Recon Orbit", "FLIGHT": "CU-Recon Flight", "CRANE": "CU-Recon Crane"}
 
@@ -43,9 +46,9 @@ def make(scene: bpy.types.Scene, kind: str, times: dict[str, datetime]) -> bpy.t
 
 
 def still(scene: bpy.types.Scene) -> bpy.types.Object:
-    """A camera that stands still and sees the whole site from the side that the photos were taken from, in place of the
-    one that an earlier call made; the scene looks through it. Raises SurfaceError."""
-    present, about = scene.curecon.present, site.box(scene)
+    """A camera that stands still and sees what most of the site's points are about from the side that the photos were
+    taken from, in place of the one that an earlier call made; the scene looks through it. Raises SurfaceError."""
+    present, about = scene.curecon.present, site.box(scene, strays=FRINGE)
     from_side = cameras.side(scene, about.centre)
     azimuth = degrees(present.start_angle) if from_side is None else from_side
     place, rotation = look_from(about, azimuth, (present.height - 0.5) * about.height, STEEPEST)
@@ -91,8 +94,17 @@ def look_from(
     x, y = -np.sin(np.radians(azimuth)), -np.cos(np.radians(azimuth))  # the way that the camera looks, in plan
     axes = np.array([[y, -x, 0], [x, y, 0], [0, 0, 1]])
     height = min(height, _distance(corners @ axes.T, 0) * np.tan(np.radians(steepest)))
-    path = camera_path.orbit(about.centre, _distance(corners @ axes.T, height), height, azimuth, 1)
-    return path.places[0], path.rotations[0]
+    away = _distance(corners @ axes.T, height)
+    path = camera_path.orbit(about.centre, away, height, azimuth, 1)
+    place, reach = path.places[0], float(np.hypot(away, height))
+    # The site a little below the picture's middle, where it leaves room: above it then stands the sky.
+    down = (place - about.centre) / reach
+    up = np.array([0, 0, 1]) - down[2] * down
+    core = corners * [CORE, CORE, 1]  # a building hardly reaches into the corners of the box about it
+    lowest = np.min(core @ up / np.linalg.norm(up) / (reach - core @ down)) if steepest < 90 else -np.inf
+    rise = np.arctan(lowest) + np.arctan(SENSOR / (2 * LENS * WIDE * MARGIN))
+    target = about.centre + [0, 0, reach * np.tan(np.clip(rise, 0, np.radians(LIFT))) / np.linalg.norm(up)]
+    return place, camera_path.look_at(place[None], target)[0]
 
 
 def new_lens(name: str, about: site.Box) -> bpy.types.Camera:

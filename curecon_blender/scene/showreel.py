@@ -21,18 +21,19 @@ CONTACT_PIXELS_PER_MM = 8
 def shots(scene: bpy.types.Scene, stage: bpy.types.Scene, folder: Path) -> list[render_scene.Shot]:
     """Put the cameras of the stills and of the film in the stage; where this Blender can make no film, for
     the stills alone. Raises SurfaceError."""
-    present, about = scene.curecon.present, site.box(scene)
+    present, about, middle = scene.curecon.present, site.box(scene), site.box(scene, strays=flight.FRINGE)
     size = render_scene.film_size(scene)
     has_north = site.known(scene).north
-    height = (present.height - 0.5) * about.height
+    height = (present.height - 0.5) * middle.height
     made = []
     for number in range(1, 6):
         azimuth = (degrees(present.start_angle) + 90 * (number - 1)) % 360
         side = f"From the {sheet.compass(azimuth).lower()}" if has_north else f"View {number}"
-        name, high, steepest = (
-            (side, height, flight.STEEPEST) if number < 5 else (n_("From above"), FROM_ABOVE * about.radius, 90.0)
+        name, shown, high, steepest = (
+            (side, middle, height, flight.STEEPEST) if number < 5
+            else (n_("From above"), about, FROM_ABOVE * about.radius, 90.0)
         )
-        camera = render_scene.add_still(stage, name, about, azimuth, high, steepest)
+        camera = render_scene.add_still(stage, name, shown, azimuth, high, steepest)
         made.append(render_scene.Shot(name=name, file=folder / f"still_{number}.png", camera=camera, size=size))
     if not render_scene.can_film():
         return made

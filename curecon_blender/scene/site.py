@@ -76,8 +76,9 @@ def subject(scene: bpy.types.Scene) -> bpy.types.Object | None:
     return next(iter(about or shown), None)
 
 
-def box(scene: bpy.types.Scene, turned_by: float = 0.0) -> Box:
+def box(scene: bpy.types.Scene, turned_by: float = 0.0, strays: float = 0.5) -> Box:
     """The region box where one is chosen, else a box about the building along its walls; `turned_by` further radians.
+    Of what lies outermost on each side, `strays` per cent are left out of it.
 
     Raises SurfaceError when there is nothing to present.
     """
@@ -95,7 +96,7 @@ def box(scene: bpy.types.Scene, turned_by: float = 0.0) -> Box:
     direction, is_round = _direction_of(item)
     turn = turned_by + direction
     plan = footprint.turned(places[:, :2], turn)
-    low, high = np.percentile(plan, [0.5, 99.5], axis=0)
+    low, high = np.percentile(plan, [strays, 100 - strays], axis=0)
     inside = places[np.all((plan >= low) & (plan <= high), axis=1), 2]
     bottom, top = inside.min(), inside.max()  # a spire is few points, and so are eaves: neither must be cut off
     middle = footprint.turned(((low + high) / 2)[None], -turn)[0]
@@ -155,10 +156,11 @@ def ground(cloud: bpy.types.Object, world_from_cloud: np.ndarray) -> float:
 
 def drawn(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     """What pictures of the site show, of what renders show: its surfaces and clouds, what else stands in its
-    collections, and the scene's lamps."""
+    collections, the scene's lamps, and the ground under it."""
     held = {item for top in scene.collection.children if WORKSPACE_KEY in top for item in top.all_objects}
     seen = _drawn(scene)
-    also = [item for item in scene.objects if (item in held or item.type == "LIGHT") and item.type != "CAMERA"
+    also = [item for item in scene.objects
+            if (item in held or item.type == "LIGHT" or surface.is_ground(item)) and item.type != "CAMERA"
             and not item.hide_render and seen.intersection(item.users_collection)]
     return list(dict.fromkeys([*_shown(scene), *also]))
 

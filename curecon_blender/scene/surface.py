@@ -24,6 +24,7 @@ from .marks import COLOUR_NODE, FILLED_NODE, MARKS, add_tint, mark_key
 from .points import COLOUR, SUBJECT_SAMPLE, fill, linear, linear_colours, positions
 
 SURFACE_KEY = "curecon_surface"  # marks the mesh data that came from a workspace
+GROUND_KEY = "curecon_plain_ground"  # and that of a ground under it, which is no record
 UV = "UVMap"
 # Names of nodes, by which the switches find them.
 LIGHT_NODE, RELIEF_NODE = "Light", "Relief"
@@ -155,6 +156,10 @@ def is_surface(item: bpy.types.Object) -> bool:
     return item.type == "MESH" and SURFACE_KEY in item.data
 
 
+def is_ground(item: bpy.types.Object) -> bool:
+    return item.type == "MESH" and GROUND_KEY in item.data
+
+
 def surfaces_of(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     """The scene's imported surfaces, largest first."""
     found = [item for item in scene.objects if is_surface(item)]
@@ -178,8 +183,9 @@ def facing(data: bpy.types.Mesh) -> tuple[np.ndarray, np.ndarray]:
 
 
 def light(scene: bpy.types.Scene, by_scene: bool) -> None:
-    """Let the scene's lights shade the surfaces, or show the photos' colours as they are, with the photos' light."""
-    for item in surfaces_of(scene):
+    """Let the scene's lights shade the surfaces and the ground, or show the photos' colours as they are, with the
+    photos' light."""
+    for item in (item for item in scene.objects if is_surface(item) or is_ground(item)):
         for material in (slot.material for slot in item.material_slots):
             if material is not None and material.node_tree is not None and LIGHT_NODE in material.node_tree.nodes:
                 material.node_tree.nodes[LIGHT_NODE].inputs[0].default_value = 0.0 if by_scene else 1.0
@@ -303,6 +309,19 @@ def _material(
     if hasattr(material, "cycles"):  # the Cycles add-on can be switched off
         # Each face would otherwise count as a lamp, and Cycles would sample millions of them.
         material.cycles.emission_sampling = "NONE"
+    return material
+
+
+def ground_material(name: str) -> bpy.types.Material:
+    """The vertices' colours as a surface has them, melting away as their alpha falls."""
+    material = _material(name, None, None, np.full(3, 0.5))
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    output = next(node for node in nodes if node.type == "OUTPUT_MATERIAL")
+    nothing, mix = nodes.new("ShaderNodeBsdfTransparent"), nodes.new("ShaderNodeMixShader")
+    links.new(nodes[COLOUR_NODE].outputs["Alpha"], mix.inputs[0])
+    links.new(nothing.outputs[0], mix.inputs[1])
+    links.new(nodes[LIGHT_NODE].outputs[0], mix.inputs[2])
+    links.new(mix.outputs[0], output.inputs["Surface"])
     return material
 
 

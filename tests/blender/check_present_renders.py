@@ -23,7 +23,7 @@ from curecon_blender.core.adjust import record
 from curecon_blender.core.photos import capture
 from curecon_blender.core.present.marks import PALE
 from curecon_blender.operators import rendering
-from curecon_blender.scene import elevations
+from curecon_blender.scene import elevations, render_scene
 
 FOLDER, OUT = Path(sys.argv[1]), Path(sys.argv[1]) / "out"
 
@@ -69,6 +69,14 @@ def pages_of(path: Path) -> list[tuple[tuple[float, float], float, np.ndarray]]:
         picture = np.cumsum(rows, axis=0, dtype=np.uint8).reshape(height, width, 3) / 255
         pages.append(((float(across) / 72 * 25.4, float(along) / 72 * 25.4), shown / width, picture))
     return pages
+
+
+def ink_by_quarter(plan: np.ndarray) -> np.ndarray:
+    """Shares (4,) of ink on the quarters of a plan, away from their edges: south-west, south-east, north-west,
+    north-east."""
+    ink, middle = (plan < 0.12).all(axis=2), plan.shape[0] // 2
+    low, high = slice(middle // 5, middle - middle // 10), slice(middle + middle // 10, 2 * middle - middle // 5)
+    return np.array([ink[rows, columns].mean() for rows in (high, low) for columns in (low, high)])
 
 
 def load(scale: str) -> bpy.types.Scene:
@@ -132,12 +140,8 @@ try:
     pale = surface_scene.QUARTERS[3] / 255 + PALE * (1 - surface_scene.QUARTERS[3] / 255)
     assert min(np.abs(east[-20:-10] - pale).max(axis=1)) < 0.02, east[-20:-10]
     # Ink lies over that quarter alone.
-    plan = pages[4][2]
-    middle = plan.shape[0] // 2
-    ink = (plan < 0.12).all(axis=2)[20:-20, 20:-20]
-    halves = (slice(middle - 20, None), slice(None, middle - 20))
-    shares = [ink[rows, columns].mean() for rows in halves for columns in halves[::-1]]
-    assert max(shares[:3]) < 0.005 and 0.06 < shares[3] < 0.15, shares  # south-west, south-east, north-west, north-east
+    shares = ink_by_quarter(pages[4][2])
+    assert max(shares[:3]) < 0.005 and 0.06 < shares[3] < 0.15, shares
 
     # A sheet says when its photos were taken, by whom, under which licence, in which axes, and how exact it is.
     workspace_scene.tell_times(
@@ -151,17 +155,19 @@ try:
     (FOLDER / "metres" / "sparse" / "0" / record.ACCURACY_FILE).write_text(json.dumps(asdict(accuracy)))
     assert "1 check point: 12 mm in plan and 30 mm in height" in elevations.notes(scene, {})
 
-    # Edges are drawn when asked for: here the outline alone, since the ridge is as blunt as a roof's.
-    scene.curecon.present.sheet_lines = True
-    assert bpy.ops.curecon.render_elevations() == {"FINISHED"}
-    drawn = (pages_of(OUT / "elevations.pdf")[4][2] < 0.12).all(axis=2)
-    inside = np.zeros_like(drawn)
-    inside[15:-15, 15:-15] = True
-    assert (drawn & ~inside).sum() > 4 * 380 and (drawn & inside)[middle:].mean() < 0.005
-    scene.curecon.present.sheet_lines = False
-
     # A quarter turn swaps the sides; a larger scale wants a larger paper; too large a one is an error in words. In a
     # dark scene, too, sheets are drawn in the photos' light, and the surface takes the scene's again.
+    # Edges are drawn when asked for: the outline alone, since the ridge is as blunt as a roof's. A ground that was laid
+    # for pictures is no part of sheets.
+    count = len(bpy.data.objects), len(bpy.data.meshes), len(bpy.data.materials)
+    for _ in range(2):
+        assert bpy.ops.curecon.lay_ground() == {"FINISHED"}
+    plain = bpy.data.objects["CU-Recon Ground"]
+    assert plain.dimensions.x > 30 and min(vertex.co.z for vertex in plain.data.vertices) > -0.5
+    stage = render_scene.create(scene)
+    assert any(item.data == plain.data for item in stage.objects)
+    render_scene.remove(stage)
+    scene.curecon.present.sheet_lines = True
     scene.curecon.surface_light, scene.world = "SCENE", None
     scene.curecon.present.facade_turn = np.pi / 2
     scene.curecon.present.sheet_scale = "50"
@@ -173,6 +179,13 @@ try:
     paper, mm, picture = pages_of(OUT / "elevations.pdf")[4]
     assert np.allclose(paper, (420, 297), atol=0.01), paper  # 20 cm of drawing
     assert abs(extent(coloured(picture))[0] * mm / 1000 * 50 - 10) < 0.03
+    rows, columns = np.nonzero(coloured(picture))
+    ink = (picture < 0.12).all(axis=2)[rows.min() - 2 : rows.max() + 3, columns.min() - 2 : columns.max() + 3]
+    sides = ink[:4].any(axis=0), ink[-4:].any(axis=0), ink[:, :4].any(axis=1), ink[:, -4:].any(axis=1)
+    assert min(side.mean() for side in sides) > 0.9 and sorted(ink_by_quarter(picture))[2] < 0.005
+    assert bpy.ops.curecon.remove_ground() == {"FINISHED"}
+    assert (len(bpy.data.objects), len(bpy.data.meshes), len(bpy.data.materials)) == count
+    scene.curecon.present.sheet_lines = False
     scene.curecon.region = bpy.data.objects.new("Region", bpy.data.meshes.new("Region"))
     scene.curecon.region.data.from_pydata([(0, 0, 0), (75, 75, 1)], [], [])
     try:

@@ -66,8 +66,8 @@ def hatch(pixels: np.ndarray, marked: Hatching, pixels_per_mm: float) -> np.ndar
 def stripes(shape: tuple[int, ...], slope: int, pixels_per_mm: float) -> np.ndarray:
     """Lines (H,W) bool at 45 degrees; slope 1 rises to the right, as paper has it, -1 falls."""
     row, column = np.ogrid[: shape[0], : shape[1]]
-    across = (column + slope * row) / np.sqrt(2) / pixels_per_mm
-    result: np.ndarray = across % HATCH < THICK
+    every, wide = (max(1, round(length * np.sqrt(2) * pixels_per_mm)) for length in (HATCH, THICK))  # all lines alike
+    result: np.ndarray = (column + slope * row) % every < wide
     return result
 
 
