@@ -12,6 +12,9 @@ from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree
 
+import fastkml
+import fastkml.utils
+import gpxpy
 import numpy as np
 import pycolmap
 import pytest
@@ -22,7 +25,8 @@ from curecon_blender.core.base.errors import PlanError
 from curecon_blender.core.base.records import GeoPosition
 from curecon_blender.core.plan import coverage, site
 from curecon_blender.core.plan.drones import DRONES
-from curecon_blender.core.plan.mission import FORMS, plan
+from curecon_blender.core.plan.files import write_gpx, write_kml, write_kmz
+from curecon_blender.core.plan.mission import FORMS, of_legs, plan
 from curecon_blender.core.plan.outlines import area
 from curecon_blender.core.plan.page import page
 from curecon_blender.core.plan.records import Building, Plan
@@ -190,6 +194,73 @@ def test_mission_files_hold_the_plan(tmp_path: Path) -> None:
     ElementTree.parse(tmp_path / "out" / "plan.gpx")
     page = (tmp_path / "out" / "plan.html").read_text()
     assert "<b>'Tulou'" not in page and "&lt;b&gt;" in page
+
+
+def test_other_programs_read_the_ways_of_a_flight_across_180_degrees(tmp_path: Path) -> None:
+    origin = GeoPosition(latitude=-17.0, longitude=179.9999, altitude=None)
+    made = plan("tulou", replace(RING, origin=origin), DRONE, WISHES)
+    write_kml(tmp_path / "plan.kml", made)
+    write_gpx(tmp_path / "plan.gpx", made)
+    write_kmz(tmp_path / "flight.kmz", made, made.flights[0], 1_700_000_000_000)
+    with open(tmp_path / "plan.gpx") as file:
+        routes = gpxpy.parse(file).routes
+    assert [len(route.points) for route in routes] == [len(flight.waypoints) for flight in made.flights]
+    with zipfile.ZipFile(tmp_path / "flight.kmz") as archive:
+        wayline = fastkml.KML.from_string(archive.read("wpmz/waylines.wpml").decode(), strict=False)
+    marks = [mark.geometry for mark in fastkml.utils.find_all(wayline, of_type=fastkml.Placemark)]
+    whole = fastkml.KML.parse(tmp_path / "plan.kml")
+    lines = [mark.geometry for mark in fastkml.utils.find_all(whole, of_type=fastkml.Placemark)
+             if mark.geometry.geom_type == "LineString"]
+    for flight, route, line in zip(made.flights, routes, lines, strict=True):
+        wanted = [waypoint.place for waypoint in flight.waypoints]
+        told = {"GPX": [(point.longitude, point.latitude, point.elevation) for point in route.points],
+                "KML": list(line.coords)}
+        if flight is made.flights[0]:
+            told["KMZ"] = [(mark.x, mark.y, place[2]) for mark, place in zip(marks, wanted, strict=True)]
+        for places in told.values():
+            longitudes, latitudes, heights = np.array(places).T
+            assert (np.abs(longitudes) > 179.99).all() and (longitudes > 0).any() and (longitudes < 0).any()
+            east = ((longitudes - origin.longitude + 180) % 360 - 180) * 106_480  # metres a degree at 17 degrees south
+            assert east == pytest.approx([place[0] for place in wanted], abs=0.2)
+            assert (latitudes + 17) * 110_640 == pytest.approx([place[1] for place in wanted], abs=0.2)
+            assert heights == pytest.approx([place[2] for place in wanted], abs=0.01)
+
+
+def test_a_mission_of_one_photo_is_a_mission(tmp_path: Path) -> None:
+    hut = site.of_size(3, 3, 2, origin=HERE)
+    made = plan("grid", hut, DRONE, Wishes(pixel=40, side=0, forward=0, takeoff=(0, -60, 0)))
+    assert made.photos <= 6
+    one = replace(made.legs[0], places=made.legs[0].places[:1], headings=made.legs[0].headings[:1],
+                  pitches=made.legs[0].pitches[:1])
+    made = of_legs("grid", [one], hut, DRONE, WISHES, [])
+    assert made.photos == 1 and len(made.flights) == 1
+    write_kmz(tmp_path / "flight.kmz", made, made.flights[0], 1_700_000_000_000)
+    with zipfile.ZipFile(tmp_path / "flight.kmz") as archive:
+        assert archive.read("wpmz/waylines.wpml").count(b"takePhoto") == 1
+
+
+@pytest.mark.parametrize("kind", sorted(KINDS))
+def test_no_photo_is_taken_below_the_ground_of_a_low_building(kind: str) -> None:
+    low = site.of_ring(30, 14, 3, eaves=2) if kind == "tulou" else site.of_size(20, 12, 3, eaves=2)
+    made = plan(kind, low, DRONE, replace(WISHES, takeoff=(0, -60, -4)))
+    heights = np.array([waypoint.place[2] for flight in made.flights for waypoint in flight.waypoints])
+    assert heights.min() > 2.9 and heights.max() <= WISHES.ceiling - 4
+
+
+@pytest.mark.parametrize(("arguments", "code", "said"), [
+    (("--drone", "dragonfly9"), 2, "invalid choice"), (("--waypoints", 1), 14, "waypoints"),
+    (("--camera", 13.2, 8.8, 8.8, 5472, 3648, "--minutes", 20), 0, "Own camera"),
+])
+def test_a_drone_that_is_not_in_the_table_has_numbers_of_its_own(
+    tmp_path: Path, arguments: tuple[object, ...], code: int, said: str
+) -> None:
+    run = curecon("plan", tmp_path / "out", "--size", 20, 10, "--height", 9, *arguments)
+    assert run.code == code and said in f"{run.said} {run.summary} {_page(tmp_path)}"
+
+
+def _page(folder: Path) -> str:
+    page = folder / "out" / "plan.html"
+    return page.read_text() if page.is_file() else ""
 
 
 def test_a_part_of_one_photo_stands_on_the_page_too() -> None:

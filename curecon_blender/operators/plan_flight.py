@@ -16,7 +16,7 @@ from bpy.props import BoolProperty, StringProperty
 
 from ..core.base.errors import CuReconError
 from ..core.plan.write import write_plan
-from ..scene import flight_plan, view
+from ..scene import cameras, flight_plan, view
 from . import paths, running
 
 
@@ -66,6 +66,33 @@ photos will show each part"""
         return {"FINISHED"}
 
 
+class CURECON_OT_fly_along(bpy.types.Operator):
+    """Look through the drone's camera along the planned flight, a photo every sixth frame; again for the scene's own
+camera and frames"""
+
+    bl_idname = "curecon.fly_along"
+    bl_label = "Fly Along"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if flight_plan.drawn(context.scene) is None:
+            cls.poll_message_set("Plan a flight first")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            flies = flight_plan.fly_along(context.scene)
+        except CuReconError as error:
+            self.report({"ERROR"}, running.explain(error))
+            return {"CANCELLED"}
+        if flies:
+            cameras.enter_view(context)
+            self.report({"INFO"}, rpt_("Play it with the space bar. Press Fly Along again for the scene's own camera."))
+        return {"FINISHED"}
+
+
 class CURECON_OT_export_flight(bpy.types.Operator):
     """Plan the flight and write it into a folder: missions for DJI and Litchi, KML, GPX, and a page for flying by
 hand"""
@@ -96,4 +123,5 @@ hand"""
         return {"FINISHED"}
 
 
-CLASSES = (CURECON_OT_add_outline, CURECON_OT_take_off_here, CURECON_OT_plan_flight, CURECON_OT_export_flight)
+CLASSES = (CURECON_OT_add_outline, CURECON_OT_take_off_here, CURECON_OT_plan_flight, CURECON_OT_fly_along,
+           CURECON_OT_export_flight)

@@ -7,6 +7,7 @@ from __future__ import annotations
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
+from ..scene import flight_plan
 from .layout import Panel, action, counted, paragraph
 
 
@@ -40,6 +41,7 @@ class CURECON_PT_plan(Panel, bpy.types.Panel):
             paragraph(box, context, iface_("{:.0%} of walls and roofs in three photos or more").format(plan.covered))
             for note in plan.said.splitlines():
                 paragraph(box, context, note)
+            layout.operator("curecon.fly_along", icon="PLAY", depress=flight_plan.is_flown(context.scene))
             layout.operator("curecon.export_flight", icon="EXPORT")
 
 

@@ -20,6 +20,9 @@ from . import cameras, frame, points
 
 NAME = "CU-Recon Flight Plan"
 PLAN_KEY = "curecon_plan"  # marks the collection
+ALONG = "Fly Along"
+# On the collection while the scene looks through its camera: the scene's camera and frames of before.
+_CAMERA_KEY, _FRAMES_KEY = "curecon_camera_before", "curecon_frames_before"
 FEW, MANY = 2, 8  # photos, of the colours from red to green
 _MOST_POINTS = 1_000_000
 _FRAMES = 6  # of the camera that flies along, for each photo
@@ -64,6 +67,8 @@ def building_of(scene: bpy.types.Scene) -> tuple[Building, float]:
 def remove(scene: bpy.types.Scene, key: str = PLAN_KEY) -> None:
     """Take out what an earlier plan drew, or another that marks its collection with a key."""
     for collection in [item for item in scene.collection.children if key in item]:
+        if _FRAMES_KEY in collection:
+            _back(scene, collection)
         for item in list(collection.all_objects):
             data = item.data
             bpy.data.objects.remove(item)
@@ -72,6 +77,42 @@ def remove(scene: bpy.types.Scene, key: str = PLAN_KEY) -> None:
         for child in list(collection.children):
             bpy.data.collections.remove(child)
         bpy.data.collections.remove(collection)
+
+
+def drawn(scene: bpy.types.Scene) -> bpy.types.Collection | None:
+    """The collection of the plan that is drawn."""
+    return next((item for item in scene.collection.children if PLAN_KEY in item), None)
+
+
+def is_flown(scene: bpy.types.Scene) -> bool:
+    """Whether the scene looks through the camera that flies along."""
+    plan = drawn(scene)
+    return plan is not None and _FRAMES_KEY in plan
+
+
+def fly_along(scene: bpy.types.Scene) -> bool:
+    """Let the scene look through the camera that flies along its plan, and play just its frames; where it does so
+    already, give the scene its own camera and frames back. Returns whether it flies now. Raises PlanError."""
+    plan = drawn(scene)
+    camera = None if plan is None else next((item for item in plan.objects if item.name.startswith(ALONG)), None)
+    if plan is None or camera is None:
+        raise PlanError("No flight is drawn.", remedy="Press Plan Flight first.")
+    if _FRAMES_KEY in plan:
+        _back(scene, plan)
+        return False
+    plan[_CAMERA_KEY], plan[_FRAMES_KEY] = scene.camera, [scene.frame_start, scene.frame_end, scene.frame_current]
+    scene.camera = camera
+    scene.frame_start, scene.frame_end = (round(frame) for frame in camera.animation_data.action.frame_range)
+    scene.frame_set(scene.frame_start)
+    return True
+
+
+def _back(scene: bpy.types.Scene, plan: bpy.types.Collection) -> None:
+    scene.camera = plan.get(_CAMERA_KEY)
+    scene.frame_start, scene.frame_end, current = plan[_FRAMES_KEY]
+    scene.frame_set(current)
+    plan.pop(_CAMERA_KEY, None)
+    del plan[_FRAMES_KEY]
 
 
 def add_outline(scene: bpy.types.Scene, place: np.ndarray, *, ring: bool) -> None:
@@ -162,7 +203,7 @@ def _draw(scene: bpy.types.Scene, made: Plan, parts: coverage.Parts, seen: cover
 
 def _along(scene: bpy.types.Scene, made: Plan, ground: float, top: bpy.types.Collection, size: float) -> None:
     """A camera with a key at each photo, that one flies along with the space bar."""
-    camera = bpy.data.objects.new("Fly Along", _lens(made, "Fly Along", size))
+    camera = bpy.data.objects.new(ALONG, _lens(made, ALONG, size))
     top.objects.link(camera)
     camera.rotation_mode = "QUATERNION"
     frame_number, before = 1, None

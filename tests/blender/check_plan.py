@@ -51,6 +51,26 @@ def check_outline() -> None:
     assert len(bpy.data.objects) == before and sum(item.name.startswith(NAME) for item in bpy.data.collections) == 1
 
 
+def check_fly_along() -> None:
+    """The scene looks through the drone's camera and plays its way, and has its own camera and frames back."""
+    scene, plan = bpy.context.scene, bpy.context.scene.curecon.plan
+    own = bpy.data.objects.new("Own", bpy.data.cameras.new("Own"))
+    scene.collection.objects.link(own)
+    scene.camera, scene.frame_start, scene.frame_end = own, 5, 77
+    scene.frame_set(20)
+    assert bpy.ops.curecon.fly_along() == {"FINISHED"}
+    along = bpy.data.collections[NAME].objects["Fly Along"]
+    assert scene.camera == along and (scene.frame_start, scene.frame_end) == (1, 6 * (plan.photos - 1) + 1)
+    first = np.array(along.matrix_world.translation)
+    scene.frame_set(scene.frame_end)
+    assert np.linalg.norm(np.array(along.matrix_world.translation) - first) > 1
+    assert bpy.ops.curecon.fly_along() == {"FINISHED"}
+    assert scene.camera == own and (scene.frame_start, scene.frame_end, scene.frame_current) == (5, 77, 20)
+    assert bpy.ops.curecon.fly_along() == {"FINISHED"}
+    assert bpy.ops.curecon.plan_flight() == {"FINISHED"}  # a new plan gives the scene back, too
+    assert scene.camera == own and scene.frame_end == 77
+
+
 def check_export() -> None:
     plan = bpy.context.scene.curecon.plan
     plan.position = "24.66, 117.05"
@@ -99,7 +119,9 @@ def check_cloud() -> None:
 
 
 curecon_blender.register()
+assert not bpy.ops.curecon.fly_along.poll()
 check_outline()
+check_fly_along()
 check_export()
 check_refused()
 check_cloud()

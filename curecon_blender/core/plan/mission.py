@@ -21,6 +21,7 @@ from .wishes import Wishes
 SPEED = 5.0  # metres a second between photos
 HOLD = 2.5  # seconds for a photo: to stop, hang still and go on
 CLIMB = 3.0  # metres a second, up and down
+CLOSEST = 0.5  # metres between two waypoints
 LEAST_SIZE = 2.0  # metres across, of an outline
 RAISED_BY = 0.5  # metres, until a photo's place is clear
 MOST_LATITUDE = 85.0  # headings mean little nearer to a pole
@@ -181,6 +182,10 @@ def _flights(legs: list[Leg], building: Building, drone: Drone, wishes: Wishes) 
         if flight.minutes > usable:
             raise PlanError(Text("One battery of this drone does not reach {} and come back.", Text(stop.leg)),
                             remedy="Take off nearer to the building.")
+        if len(flight.waypoints) > drone.waypoints:
+            raise PlanError(Text("{}: one photo alone takes {} waypoints, more than the {} of the app.", Text(stop.leg),
+                                 len(flight.waypoints), drone.waypoints),
+                            remedy="Raise the number of waypoints, or fly by hand.")
         current = tried
     flights.append(_flown([*current, *_back(current[-1], home, cruise)], home, wishes, drone))
     return tuple(flights)
@@ -194,14 +199,21 @@ def _way(before: Waypoint | None, stop: Waypoint, home: np.ndarray, cruise: floa
         here = np.array(before.place)
         if building.obstacles.clearance(along(here, there), wishes.clearance).min() >= 0.95 * wishes.clearance:
             return []
-        high = [np.array([here[0], here[1], cruise]), np.array([there[0], there[1], cruise])]
+        high = [np.array([x, y, cruise]) for x, y, _ in (here, there)]
+        high = [place for place in high if not _same(place, here)]
     else:
         high = [home, np.array([there[0], there[1], cruise])]
-    return [_passing(place, stop) for place in high]
+    return [_passing(place, stop) for place in high if not _same(place, there)]
 
 
 def _back(last: Waypoint, home: np.ndarray, cruise: float) -> list[Waypoint]:
-    return [_passing(np.array([last.place[0], last.place[1], cruise]), last), _passing(home, last)]
+    above = np.array([last.place[0], last.place[1], cruise])
+    return [*([] if _same(above, np.array(last.place)) else [_passing(above, last)]), _passing(home, last)]
+
+
+def _same(first: np.ndarray, second: np.ndarray) -> bool:
+    """Whether two waypoints lie so near to each other that apps refuse them."""
+    return bool(np.linalg.norm(first - second) < CLOSEST)
 
 
 def _passing(place: np.ndarray, stop: Waypoint) -> Waypoint:
