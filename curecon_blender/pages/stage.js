@@ -126,6 +126,7 @@ export class Stage {
     const { downloading, parsing, queued, visible } = tiles.stats;
     const busy = downloading + parsing + queued > 0 || !tiles.root;
     document.body.dataset.tiles = busy ? (visible ? "shown" : "loading") : visible ? "complete" : "loading";
+    Object.assign(document.body.dataset, { calls: this.renderer.info.render.calls, triangles: this.renderer.info.render.triangles });
     const progress = document.getElementById("progress");
     if (visible) progress.value = tiles.loadProgress;
     if (busy || !visible) this.draw();
