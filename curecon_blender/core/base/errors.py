@@ -130,4 +130,4 @@ class Cancelled(CuReconError):
     kind = "cancelled"
 
     def __init__(self) -> None:
-        super().__init__("Cancelled.", remedy="Run it again to go on from the last finished photo.")
+        super().__init__("Cancelled.", remedy="Run it again: it goes on where it stopped.")
