@@ -66,12 +66,13 @@ class Person:
             yield 0.02
 
     def write(self, text: str) -> Wait:
-        """Type letters, where the pointer is."""
+        """Type letters, where the pointer is; those that no key has come as from an input method."""
         x, y = self.middle()
         for letter in text:
-            self.window.event_simulate(letter.upper(), "PRESS", x=x, y=y, unicode=letter)
+            key = letter.upper() if letter.isascii() else "A"
+            self.window.event_simulate(key, "PRESS", x=x, y=y, unicode=letter)
             yield 0.02
-            self.window.event_simulate(letter.upper(), "RELEASE", x=x, y=y)
+            self.window.event_simulate(key, "RELEASE", x=x, y=y)
             yield 0.02
 
     def click(self, x: int, y: int, *, ctrl: bool = False) -> Wait:

@@ -12,6 +12,9 @@ import bpy
 from person import Person, Wait
 from told import MODULE, busy, failure, report, step, task, worked
 
+WORDS = ("photogrammetry", "measure", "texture", "scan", "drone")
+CHINESE = dict(zip(WORDS, ("摄影测量", "测量", "纹理", "扫描", "无人机"), strict=True))
+
 
 def libraries(person: Person) -> Wait:
     """The worker has nothing to work with: one press, a question, and it has. What has come is kept over a cancel."""
@@ -76,10 +79,10 @@ def find(person: Person) -> Wait:
     """F3 finds the tools by the words of people who do not know the add-on; as a picture, since no script reads it."""
     step("find")
     yield from person.alone()
-    for word in ("photogrammetry", "measure", "texture", "scan", "drone"):
+    for word in WORDS:
         yield from person.press("F3", *person.middle())
         yield 0.5
-        yield from person.write(word)
+        yield from person.write(CHINESE[word] if task["language"] else word)
         yield from person.picture(f"find_{word}")
         for _ in range(2):
             yield from person.press("ESC", *person.middle())
