@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +39,7 @@ CUBE = 0.3  # metres: side of the cubes that rays are cast through
 _AROUND = 5.0  # metres about the building's outline that are looked at, too
 _MOST_PATCHES = 6000
 _SEEN_THROUGH = 0.05  # of the depth that a photo must see farther, for nothing to be there
+_USUAL_DISTANCE = 30.0  # metres, where no photo sees any patch
 _MINUTES = 25.0  # of a battery, where the drone is not named
 
 
@@ -52,23 +53,20 @@ def run_gaps(given: argparse.Namespace, reporter: Reporter) -> dict[str, Any]:
     with Workspace(given.workspace) as workspace:
         reporter.stage("gaps")
         root = workspace.root
-        ground = read_ground(root)
-        level = np.array([0.0, 0.0, site.ground_of(ground.points)])
-        building = site.of_points(ground.points, origin=ground.origin)
-        views = ground.component.views
-        taken = _taken(views, ground.matrix, level)
-        patches, solid = _surface(root, ground, building, level, reporter)
+        found = look(root, reporter)
+        ground, level, building, taken = found.ground, found.level, found.building, found.taken
+        patches, solid = found.patches, found.solid
         reporter.progress(1, 4)
         judged = judge(patches, taken, solid)
         first = replace(judged, rays=judged.rays.copy(), short=judged.short.copy())
         reporter.progress(2, 4)
         wishes = Wishes(clearance=given.clearance, ceiling=given.ceiling, takeoff=tuple(given.takeoff))
-        drone = _drone(views) if given.drone is None else DRONES[given.drone]
-        leg = candidates(building, drone, wishes, _distance(patches, taken, solid))
+        drone = found.drone if given.drone is None else DRONES[given.drone]
+        leg = candidates(building, drone, wishes, found.distance)
         chosen = advise(judged, taken, seeing(leg, drone), solid, given.photos)
         reporter.progress(3, 4)
         leg = _taken_in_order(leg, chosen, building, wishes, north=ground.north)
-        found = _found(first, judged, leg, ground, level)
+        told = _told(first, judged, leg, ground, level)
         folder = root / GAPS_FOLDER
         with disk_errors(folder):
             folder.mkdir(exist_ok=True)
@@ -86,10 +84,44 @@ def run_gaps(given: argparse.Namespace, reporter: Reporter) -> dict[str, Any]:
             for note in made.notes:
                 reporter.warning(note)
         reporter.progress(4, 4, fresh=False)
-    return {"gaps": {**found, "folder": str(folder), "files": files}, "warnings": reporter.warnings}
+    return {"gaps": {**told, "folder": str(folder), "files": files}, "warnings": reporter.warnings}
 
 
-def _found(before: Judged, after: Judged, leg: Leg, ground: Ground, level: np.ndarray) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Looked:
+    """A site as gaps are looked for in it, in metres: `level` (3,) is its ground, which all heights count from, in the
+    frame of `ground`; the patches that should be there, what hides them, the photos' cameras, their usual `distance`
+    from the patches, and a `drone` that carries one like them."""
+
+    ground: Ground
+    level: np.ndarray
+    building: Building
+    taken: Eyes
+    patches: Patches
+    solid: Solid
+    drone: Drone
+
+    @property
+    def distance(self) -> float:
+        """Metres from which the photos show the site: the median of each patch's nearest."""
+        n, _, depth = sightings(self.patches.parts, self.taken, self.solid)
+        nearest = np.full(len(self.patches), np.inf)
+        np.minimum.at(nearest, n, depth)
+        known = nearest[np.isfinite(nearest)]
+        return float(np.median(known)) if len(known) else _USUAL_DISTANCE
+
+
+def look(root: Path, reporter: Reporter) -> Looked:
+    """A workspace's largest part, looked at. Raises PlanError, WorkspaceError, Cancelled."""
+    ground = read_ground(root)
+    level = np.array([0.0, 0.0, site.ground_of(ground.points)])
+    building = site.of_points(ground.points, origin=ground.origin)
+    patches, solid = _surface(root, ground, building, level, reporter)
+    views = ground.component.views
+    return Looked(ground, level, building, _taken(views, ground.matrix, level), patches, solid, _drone(views))
+
+
+def _told(before: Judged, after: Judged, leg: Leg, ground: Ground, level: np.ndarray) -> dict[str, Any]:
     """The figures, and each photo's sentence with its place, heading and pitch in the frame as reconstructed."""
     areas, kinds = before.patches.areas, before.patches.kinds
     back = np.linalg.inv(ground.matrix)
@@ -198,15 +230,6 @@ def _drone(views: tuple[View, ...]) -> Drone:
     return Drone(name=Text("The photos' camera"), sensor=(36.0, 36.0 * height / width),
                  focal=float(view.K[0, 0]) / width * 36.0,
                  picture=(round(width * times), round(height * times)), minutes=_MINUTES)
-
-
-def _distance(patches: Patches, taken: Eyes, solid: Solid) -> float:
-    """Metres from which the photos show the site: the median of each patch's nearest."""
-    n, _, depth = sightings(patches.parts, taken, solid)
-    nearest = np.full(len(patches), np.inf)
-    np.minimum.at(nearest, n, depth)
-    known = nearest[np.isfinite(nearest)]
-    return float(np.median(known)) if len(known) else 30.0
 
 
 def _taken_in_order(leg: Leg, chosen: np.ndarray, building: Building, wishes: Wishes, *, north: bool) -> Leg:
