@@ -108,6 +108,16 @@ def test_no_flight_is_longer_than_its_battery_or_the_apps_list(kind: str) -> Non
     assert len(small.flights) > len(made.flights)
 
 
+def test_flights_that_the_app_cuts_short_share_a_battery() -> None:
+    made = plan("building", HOUSE, DRONE, WISHES)
+    usable, minutes = DRONE.minutes * (1 - WISHES.kept_back), sum(flight.minutes for flight in made.flights)
+    assert minutes / usable <= made.batteries < len(made.flights)
+    weak = plan("building", HOUSE, replace(DRONE, minutes=max(f.minutes for f in made.flights) / 0.69), WISHES)
+    assert weak.batteries >= len(weak.flights) / 2
+    page_of = page(made, coverage.of_plan(made, coverage.parts_of(HOUSE)), "House")
+    assert f"{len(made.flights)} flights on {made.batteries} batter" in page_of
+
+
 def test_every_kind_that_can_be_asked_for_can_be_flown() -> None:
     assert tuple(FORMS) == KINDS
 

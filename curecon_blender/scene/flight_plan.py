@@ -40,7 +40,7 @@ def make(scene: bpy.types.Scene) -> tuple[Plan, coverage.Seen]:
     seen = coverage.of_plan(made, parts)
     remove(scene)
     _draw(scene, made, parts, seen, ground)
-    properties.photos, properties.batteries = made.photos, len(made.flights)
+    properties.photos, properties.batteries = made.photos, made.batteries
     properties.minutes = sum(flight.minutes for flight in made.flights)
     properties.covered, properties.said = seen.share, "\n".join(made.notes)
     return made, seen

@@ -31,20 +31,22 @@ def page(plan: Plan, seen: Seen, name: str) -> str:
     legs = "".join(_leg_row(plan, n, leg) for n, leg in enumerate(plan.legs))
     notes = "".join(f"<li>{escape(note)}</li>" for note in plan.notes)
     wishes = plan.wishes
-    batteries = "1 battery" if len(plan.flights) == 1 else f"{len(plan.flights)} batteries"
+    batteries = "1 battery" if plan.batteries == 1 else f"{plan.batteries} batteries"
+    missions = "1 flight" if len(plan.flights) == 1 else f"{len(plan.flights)} flights"
     minutes = sum(flight.minutes for flight in plan.flights)
     return f"""<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
 <title>{escape(name)}: flight plan</title><style>{_STYLE}</style></head><body>
 <h1>{escape(name)}: flight plan</h1>
-<p>{escape(plan.drone.name)}. {plan.photos} photos on {batteries}, {minutes:.0f} minutes in the air.
+<p>{escape(plan.drone.name)}. {plan.photos} photos in {missions} on {batteries}, {minutes:.0f} minutes in the
+air.
 {100 * seen.share:.0f} % of walls and roofs will be in {ENOUGH} photos or more, at {seen.usual_pixel:.0f} mm a
 pixel.</p>
 {_map(plan)}
 <h2>What to fly</h2>
 <table><tr><th>part</th><th class=n>photos</th><th class=n>height above take-off</th><th class=n>camera</th>
 <th class=n>distance to what is shown</th><th class=n>metres between photos</th></tr>{legs}</table>
-<h2>Batteries</h2>
+<h2>Flights</h2>
 <table><tr><th>flight</th><th class=n>photos</th><th class=n>waypoints</th><th class=n>way</th>
 <th class=n>time</th></tr>
 {flights}</table>

@@ -58,7 +58,7 @@ class Waypoint:
 
 @dataclass(frozen=True, kw_only=True)
 class Flight:
-    """What is flown on one battery and in one mission of the app, without the way from take-off and back, which the
+    """What is flown in one mission of the app, on one battery, without the way from take-off and back, which the
     minutes and metres include."""
 
     waypoints: tuple[Waypoint, ...]
@@ -86,3 +86,13 @@ class Plan:
     @property
     def photos(self) -> int:
         return sum(len(leg) for leg in self.legs)
+
+    @property
+    def batteries(self) -> int:
+        """That the flights take one after the other: short ones share one."""
+        usable, count, left = self.drone.minutes * (1 - self.wishes.kept_back), 0, 0.0
+        for flight in self.flights:
+            if flight.minutes > left:
+                count, left = count + 1, usable
+            left -= flight.minutes
+        return count

@@ -19,7 +19,7 @@ from .records import Plan
 def facts(made: Plan, seen: Seen) -> dict[str, Any]:
     """The figures of a plan, as they stand in plan.json."""
     return {
-        "kind": made.kind, "drone": made.drone.name, "photos": made.photos,
+        "kind": made.kind, "drone": made.drone.name, "photos": made.photos, "batteries": made.batteries,
         "pixel_mm": round(seen.usual_pixel, 1), "covered": round(seen.share, 3),
         "legs": [{"name": leg.name, "photos": len(leg), "distance": round(leg.distance, 1)} for leg in made.legs],
         "flights": [{"photos": flight.photos, "waypoints": len(flight.waypoints), "metres": round(flight.metres),
