@@ -68,7 +68,10 @@ def _run(given: argparse.Namespace) -> None:
         with parts.database.read() as transaction:
             empty = not transaction.value("SELECT count(*) FROM site")
         for site in sorted((given.folder / "sites").iterdir()) if empty else []:
-            local.add(parts, site)
+            try:
+                local.add(parts, site)
+            except Problem as problem:
+                print(f"{site} is left out: {problem}", file=sys.stderr)
     if given.command in ("invite", "demo"):
         with parts.database.write() as transaction:
             token = people.invite(transaction, getattr(given, "role", people.MODERATOR), local.CONSOLE.id)

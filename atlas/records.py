@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 import re
 import unicodedata
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from datetime import date
 from typing import Annotated, Any
 
@@ -27,17 +27,17 @@ _DEGREES = re.compile(r"-?\d{1,3}[.,]\d{3,}\D{1,12}-?\d{1,3}[.,]\d{3,}|\d{1,3}\s
 
 
 class _Words:
-    """Text without control characters, and without those that turn the direction of what follows."""
+    """Text without control characters but ends of lines, and without those that turn the direction of what follows."""
 
-    def __init__(self, most: int, *, lines: bool = False) -> None:
-        self._most, self._lines = most, lines
+    def __init__(self, most: int) -> None:
+        self._most = most
 
     def check(self, value: str) -> None:
         if len(value) > self._most:
             raise ValueError(f"{len(value)} letters; {self._most} are the most")
         for letter in value:
             kind = unicodedata.category(letter)
-            if kind == "Cc" and not (letter in "\n\r\t" and self._lines):
+            if kind == "Cc" and letter not in "\n\r\t":
                 raise ValueError(f"the control character U+{ord(letter):04X}")
             if kind in ("Cf", "Co", "Cs", "Zl", "Zp") and letter not in _KEPT_INVISIBLE:
                 raise ValueError(f"the invisible letter U+{ord(letter):04X}")
@@ -50,7 +50,7 @@ class _Day:
 
 
 Line = Annotated[str, _Words(200)]
-Passage = Annotated[str, _Words(5000, lines=True)]
+Passage = Annotated[str, _Words(5000)]
 _Coordinate = Annotated[float, Within(-NEAR, NEAR)]
 _Place = tuple[_Coordinate, _Coordinate, _Coordinate]
 _Share = Annotated[float, Within(0, 1)]
@@ -111,7 +111,7 @@ class Site:
     title: Line
     text: Passage
     place: Line
-    credit: Annotated[str, _Words(500, lines=True)]
+    credit: Annotated[str, _Words(500)]
     licence: Line
     taken: Annotated[str, _Day()] | None
     location: Annotated[str, OneOf(*LOCATIONS)]
@@ -135,9 +135,10 @@ class Site:
                      licence=self.licence)
 
     def as_json(self) -> dict[str, Any]:
-        """For the site's page: what nobody gave is left out of the figures, and no report is named."""
+        """For the site's page: names in one line each, figures that nobody gave left out, no report."""
+        lines = {name: _one_line(getattr(self, name)) for name in ("title", "place", "credit", "licence")}
         figures = {name: value for name, value in asdict(self.figures).items() if value is not None}
-        return {**asdict(self), "figures": figures, "report": None}
+        return {**asdict(self), **lines, "figures": figures, "report": None}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -233,7 +234,11 @@ def added(value: Any) -> Added:
             raise ValueError("a period has a first and a last year, in this order")
     except (ValueError, RecursionError) as error:
         raise refused(f"What was added to the site: {error}.") from error
-    return found
+    return replace(found, tags=tuple(map(_one_line, found.tags)), register=_one_line(found.register))
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())
 
 
 def doubts(found: Site) -> list[str]:
