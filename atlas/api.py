@@ -14,9 +14,10 @@ from starlette.routing import Route
 
 from . import people, words
 from .problems import Problem
-from .requests import body, check_origin, client, cookie_name, handled, parts, person, rate, record, value
+from .requests import Meter, body, check_origin, client, cookie_name, handled, parts, person, rate, record, value
 
 _QUARTER = 900  # seconds
+_searches = Meter(300, 300)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -244,7 +245,7 @@ async def place(request: Request) -> Response:
 
 
 async def search(request: Request) -> Response:
-    await rate(request, f"search {client(request)}", 300, 300)
+    _searches.count(client(request))
     asked = {name: request.query_params[name] for name in ("q", "tag", "register", "from", "to", "box", "page")
              if request.query_params.get(name)}
     found = await run_in_threadpool(words.search, parts(request).database, asked)

@@ -8,6 +8,8 @@ import asyncio
 import errno
 import hmac
 import logging
+import time
+from collections import Counter
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Any
@@ -160,6 +162,24 @@ def _check_guard(request: Request, token: str) -> None:
     check_origin(request)
     if not hmac.compare_digest(request.headers.get("x-atlas-guard", "").encode(), people.guard(token).encode()):
         raise Problem(403, "guard", "That request did not come from the atlas's own page. Load the page again.")
+
+
+class Meter:
+    """Counts what costs little, in this process alone: a search is not to wait for the database's one writer."""
+
+    def __init__(self, most: int, seconds: int) -> None:
+        self._most, self._seconds = most, seconds
+        self._began, self._counts = 0.0, Counter[str]()
+
+    def count(self, who: str) -> None:
+        """Raises Problem when there were more than `most` in this span of time."""
+        if time.monotonic() - self._began > self._seconds:
+            self._began, self._counts = time.monotonic(), Counter()
+        self._counts[who] += 1
+        if self._counts[who] > self._most:
+            raise Problem(
+                429, "too_many", "That was tried too often. Wait a while, then try again.", wait=self._seconds
+            )
 
 
 async def rate(request: Request, what: str, most: int, seconds: int) -> None:

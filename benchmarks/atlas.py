@@ -153,21 +153,15 @@ def catalogue(count: int, folder: Path) -> None:
 
 # ---- load
 
-def upload_of(number: int, megabytes: int, site: dict[str, bytes]) -> dict[str, bytes]:
-    """A site's files, with a film of random bytes that fills it up to its size."""
+def upload_of(number: int, megabytes: int, site: dict[str, bytes], noise: memoryview) -> dict[str, Any]:
+    """A site's files, filled up to its size with noise: no film and no pictures, which is found when all has come."""
     record = {**json.loads(site["site.json"]), "title": f"Load {number}", "id": f"load-{number}"}
-    files = {**site, "site.json": json.dumps(record).encode()}
-    rest = megabytes * 1_000_000
-    chance = random.Random(number)
-    files["film.mp4"] = chance.randbytes(
-        min(rest, 60_000_000)
-    )  # no film: it is refused in the end, when all of it came
-    rest -= len(files["film.mp4"])
-    count = 0
-    while rest > 0:
-        count += 1
-        files[f"pictures/{count}.jpg"] = chance.randbytes(min(rest, 8_000_000))
-        rest -= len(files[f"pictures/{count}.jpg"])
+    files: dict[str, Any] = {**site, "site.json": json.dumps(record).encode()}
+    at, end = 1_000_003 * number, 1_000_003 * number + 1_000_000 * megabytes
+    for name, size in (("film.mp4", 60_000_000), *((f"pictures/{one}.jpg", 8_000_000) for one in range(1, 41))):
+        if at < end:
+            files[name] = noise[at : min(at + size, end)]
+            at += size
     return files
 
 
@@ -175,6 +169,7 @@ def load(visitors: int, uploads: int, megabytes: int, seconds: int, folder: Path
     from atlas_run import Asker, Atlas, free_port, listed, make_site
 
     site = listed(make_site(folder / "p"))
+    noise = memoryview(random.Random(0).randbytes(1_000_003 * uploads + 1_000_000 * megabytes))
     atlas = Atlas(folder / "a", free_port(), more="[limits]\nupload = 400000000\nuploads = 100\naccount = "
                                                   "20000000000\n")
     atlas.start()
@@ -213,7 +208,7 @@ def load(visitors: int, uploads: int, megabytes: int, seconds: int, folder: Path
     results: dict[int, str] = {}
 
     def send(number: int) -> None:
-        files = upload_of(number, megabytes, site)
+        files = upload_of(number, megabytes, site, noise)
         asker = Asker(atlas.port, somebody.cookie, somebody.guard)
         for _ in range(20):
             try:
@@ -261,7 +256,7 @@ def load(visitors: int, uploads: int, megabytes: int, seconds: int, folder: Path
     wrong = 0
     parts = server.assemble(configuration.read(atlas.configuration))
     for number, upload in results.items():
-        files = upload_of(number, megabytes, site)
+        files = upload_of(number, megabytes, site, noise)
         with parts.database.read() as transaction:
             for row in transaction.all("SELECT path, number FROM upload_file WHERE upload = :id", id=upload):
                 names = transaction.all("SELECT object FROM chunk WHERE upload = :id AND number = :number ORDER BY "

@@ -34,7 +34,7 @@ from curecon_blender.core.publish.records import About, Note
 from curecon_blender.core.publish.write import Source, write_site
 
 PASSWORD = "correct horse battery"
-_PATIENCE = 30  # seconds for a server to come up on a busy computer
+_PATIENCE = 120  # seconds for a server to come up on a busy computer
 
 
 def make_site(folder: Path, title: str = "Gate", location: str = CELL, frame: Frame = FRAME, **about: Any) -> Path:

@@ -25,7 +25,7 @@ from atlas_run import Asker, Atlas, free_port, listed, make_site, running
 
 from atlas.database import Database
 
-_PATIENCE = 30  # seconds for a service to come up
+_PATIENCE = 120  # seconds for a service to come up
 _PROGRAMS = [*map(str, sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True))]
 PLACE = {"latitude": 24.658307, "longitude": 117.052089}
 
