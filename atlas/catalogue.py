@@ -147,7 +147,7 @@ class Catalogue:
         leaf = False
         for prefix in quadkeys.path(key):
             if leaf:
-                self._store.remove(self._name(prefix))
+                self._store.remove(f"{PUBLIC}/{self._name(prefix)}")
             elif prefix not in done:
                 count = self._write_tile(transaction, prefix)
                 done.add(prefix)
