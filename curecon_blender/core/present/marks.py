@@ -107,7 +107,9 @@ def edges(facts: Facts, pixels_per_mm: float) -> np.ndarray:
     for axis in (0, 1):
         turn = np.linalg.norm(np.roll(smooth, -reach, axis) - np.roll(smooth, reach, axis), axis=2)
         turn *= _unbroken(depth, axis, reach, step)
-        highest = np.stack([np.roll(turn, shift, axis) for shift in range(-reach, reach + 1)]).max(axis=0)
+        highest = turn
+        for shift in range(1, reach + 1):
+            highest = np.maximum(highest, np.maximum(np.roll(turn, shift, axis), np.roll(turn, -shift, axis)))
         lines |= (turn >= highest) & (turn > CREASE)
     lines &= facts.shown
     thick = _widened(lines, max(0, round((THICK * pixels_per_mm - 1) / 2)))
