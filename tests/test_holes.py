@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from curecon_blender.core.base.messages import Reporter
+from curecon_blender.core.base.messages import Progress, Reporter
 from curecon_blender.core.base.records import Component, Frame, View
 from curecon_blender.core.cloud.ply import Cloud, joined
 from curecon_blender.core.surface.borders import clip
-from curecon_blender.core.surface.build import MeshOptions, build_mesh
+from curecon_blender.core.surface.build import SHARES, MeshOptions, build_mesh
 from curecon_blender.core.surface.continuation import continued
 from curecon_blender.core.surface.extent import FAR, find_building, within
 from curecon_blender.core.surface.mesh import MeshError
@@ -109,12 +109,35 @@ def test_the_closed_wall_is_marked_as_filled(tmp_path: Path) -> None:
     assert mesh.areas[gap].sum() > 0.7 * 3 * (ROOF - TOP - 0.4)
 
 
+@pytest.mark.parametrize("depth", [0.02, 1e-6])
+def test_a_camera_inside_of_a_wall_takes_nothing_away(tmp_path: Path, depth: float) -> None:
+    sight = Looks(depth)
+    rotation = sight.views[0].cam_from_world[:, :3]
+    sight.views[0].cam_from_world[:, 3] = -rotation @ np.array([0, 0, 1.0])
+    mesh = build_mesh(house(), MeshOptions(), tmp_path / "scratch", Reporter(), sight)
+    wall = np.abs(mesh.vertices[mesh.faces][..., 1]).max(axis=1) < 2 * SPACING
+    assert mesh.areas[wall & ~mesh.filled].sum() > 0.9 * 4 * TOP
+
+
 def test_without_depth_maps_it_is_said_what_is_lost(tmp_path: Path) -> None:
     frame = Frame(scale="unknown", up="gravity", north=False)
     component = Component(index=0, sparse="sparse/0", cloud="cloud.ply", frame=frame, views=())
     reporter = Reporter()
     build_mesh(house(), MeshOptions(), tmp_path / "scratch", reporter, Sight(component, tmp_path, reporter))
     assert any("no depth maps" in warning for warning in reporter.warnings)
+
+
+def test_progress_moves_with_the_depth_maps_that_are_read(tmp_path: Path) -> None:
+    class Watched(Looks):
+        def glances(self) -> Iterator[Glance]:
+            for glance in super().glances():
+                self.each()
+                yield glance
+
+    seen: list[object] = []
+    build_mesh(house(), MeshOptions(), tmp_path / "scratch", Reporter(seen.append), Watched(8.0))
+    early = [message.done for message in seen if isinstance(message, Progress) and message.done <= SHARES[0]]
+    assert len(set(early)) >= 4 and early == sorted(early)
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.37])

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 from box_scene import BOX, surface_distance, texture
 from scipy.spatial import cKDTree
@@ -19,6 +20,7 @@ from curecon_blender.core.surface import build as surface
 from curecon_blender.core.surface.build import SHARES, MeshOptions, build_mesh
 from curecon_blender.core.surface.mesh import Mesh, MeshError
 from evaluation.mesh import sample
+from evaluation.soundness import soundness
 
 SPACING = 0.03  # metres
 HOLE = np.array([0.3, -0.2, 1.5])  # in the roof
@@ -70,6 +72,8 @@ def check_sound(mesh: Mesh) -> None:
     ends = mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     assert np.unique(np.sort(ends, axis=1), axis=0, return_counts=True)[1].max() <= 2
     assert np.unique(ends, axis=0, return_counts=True)[1].max() == 1  # neighbours turn the same way round
+    found = soundness(mesh.vertices, mesh.faces)
+    assert found.crossing <= 1e-3 * found.faces and found.folds <= 1e-3 * found.faces and found.slivers < 4, found
 
 
 def normals_of(mesh: Mesh) -> np.ndarray:
@@ -192,6 +196,29 @@ def test_damaged_points_are_left_out_with_a_word(tmp_path: Path) -> None:
     mesh = build(cloud, tmp_path, reporter)
     check_sound(mesh)
     assert len(reporter.warnings) == 1 and "left out" in reporter.warnings[0]
+
+
+def test_a_thousand_points_at_one_place_change_nothing(tmp_path: Path, mesh: Mesh) -> None:
+    place = len(HOUSE) // 2
+    heap = HOUSE.take(np.full(1000, place))
+    made = build(joined(HOUSE, heap), tmp_path)
+    check_sound(made)
+    assert abs(made.areas.sum() / mesh.areas.sum() - 1) < 0.01 and abs(made.filled.mean() - mesh.filled.mean()) < 0.01
+    assert cKDTree(made.vertices).query(heap.points[0])[0] < 2 * SPACING
+
+
+@pytest.mark.skipif(not hasattr(psutil, "RLIMIT_AS"), reason="a process's memory can be limited on Linux only")
+def test_too_little_memory_is_an_error_in_words_and_leaves_no_file(tmp_path: Path) -> None:
+    process = psutil.Process()
+    process.rlimit(psutil.RLIMIT_AS, (process.memory_info().vms + (64 << 20), -1))
+    try:
+        with pytest.raises((MeshError, MemoryError)) as caught:
+            build(HOUSE, tmp_path)
+    finally:
+        process.rlimit(psutil.RLIMIT_AS, (-1, -1))
+    assert isinstance(caught.value, MemoryError) or caught.value.remedy
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+    check_sound(build(HOUSE, tmp_path))
 
 
 NOTHING = np.zeros((0, 3))

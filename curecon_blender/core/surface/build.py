@@ -16,7 +16,9 @@ Lengths are in spacings: the local spacing is the side of the square that one po
 
 from __future__ import annotations
 
+import itertools
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from hashlib import sha256
@@ -40,7 +42,7 @@ from .support import LEAST_POINTS, Support, median_spacing, remove_outliers, thi
 # More than that many points for each face that may stay do not show: they are thinned out, or a large site's mesh would
 # need memory without end.
 POINTS_A_FACE = 3
-_FEWEST_FACES = 250_000  # a smaller face target gets the points of this one
+_FEWEST_FACES = 250_000  # a smaller face target gets the points and the octree of this one
 _LARGEST_HOLE = 25.0  # median spacings from any measured point to the middle of a hole that is closed
 _GAP_REACH = 2.5  # median spacings from the points that continue a gap to what closes it
 _ROUNDING = 3  # rounds of averaging with the neighbours that make the surface's border smooth
@@ -48,6 +50,7 @@ _REGION_MARGIN = 10.0  # median spacings: what lies just outside the region stil
 
 
 SHARES = (25, 35, 15, 15, 10)  # per cent of the time that each step takes
+_PASSES = 3  # times that each depth map is read
 WAITS = 15.0, 10.0  # seconds in which a million points go half through Poisson, and a million faces to fewer
 
 
@@ -88,10 +91,11 @@ def build_mesh(
     """
     _check(options)
     reporter.progress(0, 100)
+    if sight:
+        sight.each = _counted(reporter, _PASSES * len(sight.views))
     cloud, local_spacing, thinned = _measured(cloud, options, sight, reporter)
     spacing = median_spacing(cloud.points)
     gaps = cloud.take(np.zeros(0, np.int64))
-    _begin(reporter, 0, 0.5)
     if options.fill_holes and sight:
         gaps = continued(cloud.take(within(cloud.points, sight.views, spacing, NEAR)), spacing, sight)
         reporter.log(f"{len(gaps)} points continue walls, roofs and ground over gaps.")
@@ -101,7 +105,8 @@ def build_mesh(
         gaps = gaps.take(building.holds(gaps.points, gaps.normals))
     support = Support(cloud, local_spacing, thinned, gaps.points, _GAP_REACH * spacing)
     _begin(reporter, 1)
-    vertices, faces = _untrimmed(joined(cloud, gaps), spacing, scratch, reporter, scratch.parent)
+    count = max(options.max_faces, _FEWEST_FACES)
+    vertices, faces = _untrimmed(joined(cloud, gaps), spacing, count, scratch, reporter)
     _begin(reporter, 2)
     vertices, faces = _trimmed(vertices, faces, support, spacing, options)
     _begin(reporter, 3)
@@ -130,6 +135,12 @@ def _begin(reporter: Reporter, step: int, part: float = 0.0) -> None:
     reporter.progress(int(sum(SHARES[:step]) + SHARES[step] * part), 100)
 
 
+def _counted(reporter: Reporter, of: int) -> Callable[[], None]:
+    """What tells that the first step is a little further, `of` times in all."""
+    count = itertools.count(1)
+    return lambda: _begin(reporter, 0, min(next(count) / of, 1.0))
+
+
 class _Waiting(Reporter):
     """For a step that says nothing while it works: its progress moves with the time, ever slower, and never comes to
     its end by itself. `half` is how many seconds the first half usually takes."""
@@ -143,10 +154,11 @@ class _Waiting(Reporter):
 
 
 def _untrimmed(
-    cloud: Cloud, spacing: float, scratch: Path, reporter: Reporter, keep: Path
+    cloud: Cloud, spacing: float, count: int, scratch: Path, reporter: Reporter
 ) -> tuple[np.ndarray, np.ndarray]:
     """Poisson's surface; that of an earlier run which was cut off, where its points were the same."""
-    digest = sha256(b"".join(array.tobytes() for array in (cloud.points, cloud.normals, np.array(spacing))))
+    keep = scratch.parent
+    digest = sha256(b"".join(array.tobytes() for array in (cloud.points, cloud.normals, np.array([spacing, count]))))
     kept = keep / f".poisson_{digest.hexdigest()[:16]}.ply"
     for other in {*keep.glob(".poisson_*.ply")} - {kept}:
         other.unlink(missing_ok=True)
@@ -156,7 +168,7 @@ def _untrimmed(
             if len(faces) and faces.min() >= 0 and faces.max() < len(vertices):
                 return vertices, faces
     half = WAITS[0] * (len(cloud) / 1e6 + 0.1)
-    vertices, faces = poisson(cloud, spacing, scratch, _Waiting(reporter, 1, half))
+    vertices, faces = poisson(cloud, spacing, count, scratch, _Waiting(reporter, 1, half))
     with disk_errors(kept):
         write_triangles(kept, vertices, faces)
     return vertices, faces

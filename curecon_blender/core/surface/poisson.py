@@ -27,6 +27,8 @@ from ..cloud.ply import Cloud, CloudWriter
 from .mesh import MeshError
 
 _DEPTHS = (6, 12)  # of the octree; its memory grows with the points, not with the depth
+_SURPLUS = 6  # faces made for each one that stays: more cost time and memory, and show no more
+_FACES_A_POINT = 3  # that come of leaves as wide as the points' spacing
 _CUBE = 1.1  # Poisson's cube is this much larger than the cloud
 _LEAST_FREE = 1 << 20  # bytes: a disk with less is full
 _VERTEX = row_type([("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
@@ -45,11 +47,15 @@ getattr(pycolmap, call)(source, target, options)
 """
 
 
-def poisson(cloud: Cloud, spacing: float, scratch: Path, reporter: Reporter) -> tuple[np.ndarray, np.ndarray]:
+def poisson(
+    cloud: Cloud, spacing: float, count: int, scratch: Path, reporter: Reporter
+) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (n,3) float32 and faces (m,3) int32 of the untrimmed Poisson surface, from an octree whose leaves are
-    one to two times `spacing` wide. Raises MeshError, and WorkspaceError for a full disk."""
+    one to two times `spacing` wide, or wider where more than _SURPLUS times the `count` of faces that may stay would
+    come of them. Raises MeshError, and WorkspaceError for a full disk."""
     extent = _CUBE * float(np.ptp(cloud.points, axis=0).max())
-    depth = int(np.clip(np.floor(np.log2(extent / spacing)), *_DEPTHS))
+    leaf = spacing * max(1.0, np.sqrt(_FACES_A_POINT * len(cloud) / (_SURPLUS * count)))
+    depth = int(np.clip(np.floor(np.log2(extent / leaf)), *_DEPTHS))
     source, target = scratch / "poisson_points.ply", scratch / "poisson_surface.ply"
     with _exchange(source, target, "No surface could be made of the cloud",
                    "See that the disk is not full; reconstruct again if the cloud looks wrong."):

@@ -9,7 +9,7 @@ the sample site 71 % of such pixels lie within 20 cm of the truth at a confidenc
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -52,7 +52,7 @@ class Glance:
 
 class Sight:
     """The depth maps of a component's photos, read one after another, and `views`, all of its cameras. `turn` (3,3)
-    takes the site's axes to those of the places asked about."""
+    takes the site's axes to those of the places asked about. `each` is called for every depth map that is read."""
 
     def __init__(
         self, component: Component, workspace: Path, reporter: Reporter, turn: np.ndarray | None = None
@@ -62,6 +62,7 @@ class Sight:
         self._workspace, self._reporter, self._turn = workspace, reporter, turn
         self._z_up = component.frame.up != "given"
         self._skies: dict[str, np.ndarray] = {}
+        self.each: Callable[[], None] = lambda: None
 
     def __bool__(self) -> bool:
         return bool(self._told)
@@ -70,6 +71,7 @@ class Sight:
         """Every photo's depth map; one that cannot be read says nothing, with a warning."""
         for view in self._told:
             self._reporter.check_cancelled()
+            self.each()
             try:
                 depth, confidence = read_depth(self._workspace, view)
                 picture = images.read_rgb(self._workspace / view.image)
