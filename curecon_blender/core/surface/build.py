@@ -36,7 +36,9 @@ from .continuation import continued
 from .extent import FAR, NEAR, find_building, within
 from .mesh import Mesh, MeshError
 from .poisson import poisson, read_triangles, simplify, write_triangles
+from .refine import refined
 from .sight import Sight, weak_points
+from .slivers import flipped
 from .support import LEAST_POINTS, Support, median_spacing, remove_outliers, thin, usable_points
 
 # More than that many points for each face that may stay do not show: they are thinned out, or a large site's mesh would
@@ -118,6 +120,7 @@ def build_mesh(
             remedy="Reconstruct with a higher quality or more photos, or choose a larger region.",
         )
     _begin(reporter, 4)
+    vertices, faces = _refined(vertices, faces, support, spacing, options)
     filled, weak = support.judged(vertices, faces)
     if not options.fill_holes and filled.any():  # faces that bridge a gap from one measured point to another
         vertices, faces = clean(vertices, faces[~filled], spacing)
@@ -242,6 +245,15 @@ def _trimmed(
         supported = np.concatenate([supported, more <= support.radius[more_nearest]])
     faces = drop_small_parts(vertices, faces, supported, support.spacing[nearest])
     return clean(vertices, faces, spacing)
+
+
+def _refined(
+    vertices: np.ndarray, faces: np.ndarray, support: Support, spacing: float, options: MeshOptions
+) -> tuple[np.ndarray, np.ndarray]:
+    vertices = refined(vertices, faces, support)
+    if options.region is not None:
+        vertices = np.clip(vertices, *np.array(options.region, np.float32))
+    return clean(vertices, flipped(vertices, faces), spacing)
 
 
 def _simplified(

@@ -7,6 +7,8 @@ Lengths are in spacings: the local spacing is the side of the square that one po
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -140,6 +142,20 @@ class Support:
         """Distance (m,) float32 and index (m,) of the measured point nearest to each of places (m,3)."""
         distance, index = self._tree.query(places, workers=-1)
         return distance.astype(np.float32), index
+
+    def about(self, places: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Distances (m,count), infinite where there are no more, and indices of the measured points about places
+        (m,3) that lie within the reach of most of them."""
+        reach = float(np.median(self.radius))
+        distance, index = self._tree.query(places, k=count, distance_upper_bound=reach, workers=-1)
+        return distance, index
+
+    @cached_property
+    def normals(self) -> np.ndarray:
+        """Unit normals (n,3) of the measured points."""
+        length = np.linalg.norm(self.cloud.normals, axis=1, keepdims=True)
+        units: np.ndarray = self.cloud.normals / np.maximum(length, 1e-9)
+        return units
 
     def with_attributes(self, vertices: np.ndarray, faces: np.ndarray, filled: np.ndarray, weak: np.ndarray) -> Mesh:
         """The mesh with colours, distances and views."""

@@ -25,6 +25,11 @@ def face_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.cross(second - first, third - first)
 
 
+def corner_sums(values: np.ndarray, faces: np.ndarray, count: int) -> np.ndarray:
+    """The sum (count,) at each vertex of the values (M,3) at the corners of its faces."""
+    return np.bincount(faces.ravel(), values.ravel(), count)
+
+
 def mesh_edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The unique edges (E,2) int32, lower vertex first and sorted, and the number (M,3) int32 of each face's three."""
     following = np.roll(faces, -1, axis=1)
