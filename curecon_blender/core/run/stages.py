@@ -29,6 +29,7 @@ from ..base.records import Component, PhotoSet
 from ..base.rotations import from_quaternion
 from ..cloud.edits import edits_key, read_edited_cloud
 from ..cloud.fuse import NoPointsError, fuse
+from ..cloud.ply import Cloud
 from ..depth.cluster import spread_depths
 from ..depth.estimate import estimate_depths
 from ..network import weights
@@ -236,11 +237,13 @@ def _build_meshes(job: Job) -> None:
     turn = from_quaternion(options.region_turn) if options.region_turn else None
 
     def build(component: Component) -> None:
-        cloud = read_edited_cloud(root / component.cloud)
+        def cloud() -> Cloud:  # along the region's own axes; not kept here, so that what is thinned out can go
+            whole = read_edited_cloud(root / component.cloud)
+            return whole if turn is None else whole.rotated(turn)
+
         with scratch_folder(root / "mesh") as scratch:
-            # Along the region's own axes, and back.
-            mesh = build_mesh(cloud if turn is None else cloud.rotated(turn), settings, scratch, job.reporter,
-                              Sight(component, root, job.reporter, turn))
+            sight = Sight(component, root, job.reporter, turn)
+            mesh = build_mesh(cloud(), settings, scratch, job.reporter, sight)
         if turn is not None:
             mesh = replace(mesh, vertices=(mesh.vertices @ turn).astype("float32"))
         write_mesh(root / mesh_file(component.index), mesh)

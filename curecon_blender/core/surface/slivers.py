@@ -11,6 +11,7 @@ from .triangles import face_neighbours, face_normals, mesh_edges
 _THIN = 15.0  # degrees: faces with a smaller angle are looked at
 _FLAT = 0.97  # cosine between two faces that count as one plane, and of how far a new face may turn
 _ROUNDS = 10
+_WORTH_IT = 1e-3  # of the faces: a round that flips fewer is the last
 
 
 def flipped(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -18,10 +19,10 @@ def flipped(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     faces = faces.copy()
     for _ in range(_ROUNDS):
         first, second, quad = _candidates(vertices, faces)
-        if not len(first):
-            break
         a, b, c, d = quad.T
         faces[first], faces[second] = np.stack([a, d, c], axis=1), np.stack([d, b, c], axis=1)
+        if len(first) <= _WORTH_IT * len(faces):
+            break
     return faces
 
 
