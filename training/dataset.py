@@ -23,8 +23,9 @@ class Sample:
     """One reference (view 0) with N sources. Arrays as the network takes them, without the batch dimension.
 
     `images` (V,H,W,3) uint8; `K` (V,3,3) and `cam_from_world` (V,3,4) float32, pixel centres at .5; `scores` (N,)
-    matching scores; `depth` (H,W) float32 z-depth in metres, 0 where unknown; `near`, `far` bound the sweep; `points`
-    (P,4) float32: column, row and z-depth of the sparse points in the reference, and whether it has matched them.
+    matching scores; `depth` (H,W) float32 z-depth in metres, 0 where there is nothing (where it is not known, if the
+    sample is not `complete`); `near`, `far` bound the sweep; `points` (P,4) float32: column, row and z-depth of the
+    sparse points in the reference, and whether it has matched them.
     """
 
     images: np.ndarray
@@ -35,6 +36,7 @@ class Sample:
     near: float
     far: float
     points: np.ndarray
+    complete: bool = True
 
 
 def source_scores(scene: Scene, reference: int) -> list[tuple[int, float]]:
@@ -120,5 +122,5 @@ def training_sample(scene: Scene, rng: np.random.Generator, sources: int, size: 
     return Sample(
         np.stack(images), np.stack(intrinsics).astype(np.float32), scene.cam_from_world[views].astype(np.float32),
         np.array([score for _, score in scored], np.float32), crop, near, far,
-        points_in(scene.points, scene.visible[reference], intrinsics[0], pose_ref, size),
+        points_in(scene.points, scene.visible[reference], intrinsics[0], pose_ref, size), scene.complete,
     )

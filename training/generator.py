@@ -38,6 +38,7 @@ class Scene:
     visible: np.ndarray  # (V,P) bool: track membership
     pose_noise: float = 0.0  # pixels (one sigma) by which the given poses miss the true ones
     kind: str = ""  # rig
+    complete: bool = True  # where there is no depth, there is nothing; else it is unknown
 
 
 def project(K: np.ndarray, cam_from_world: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -226,7 +227,7 @@ def photograph(rng: np.random.Generator, images: list[np.ndarray]) -> list[np.nd
 def save(scene: Scene, path: Path) -> None:
     """One .npz: pictures as JPEG, depth as 16-bit logarithm (relative error below 1e-4) in PNG."""
     arrays: dict[str, np.ndarray] = {
-        name: getattr(scene, name) for name in ("K", "cam_from_world", "points", "pose_noise", "kind")
+        name: getattr(scene, name) for name in ("K", "cam_from_world", "points", "pose_noise", "kind", "complete")
     }
     arrays["visible"] = np.packbits(scene.visible, axis=1)
     ranges = []
@@ -265,6 +266,7 @@ def load(path: Path) -> Scene:
             visible,
             float(data["pose_noise"]),
             str(data["kind"]),
+            bool(data["complete"]),
         )
 
 

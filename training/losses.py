@@ -89,13 +89,15 @@ def total_loss(outputs: list[LevelOutput], t: Tensor, valid: Tensor, representat
     return loss
 
 
-def refinement_loss(refined: Refined, t: Tensor, valid: Tensor, interval: float, ratio: Tensor) -> Tensor:
+def refinement_loss(
+    refined: Refined, t: Tensor, valid: Tensor, known: Tensor, interval: float, ratio: Tensor
+) -> Tensor:
     """Of the choice between candidates, of the depth, and of its confidence (where there is no surface, it is wrong).
 
-    `t`, `valid` (B,1,H,W) at full resolution; `interval` in t, of the finest level; `ratio` (B,) of the sweep's near to
-    its far end. A candidate is as likely as it is
-    near, by a Laplace distribution, where a large error counts not much more than a middling one; and those far off
-    cost what they are off by, or a guess at what no source sees would be as often far away as near.
+    `t`, `valid`, `known` (B,1,H,W) at full resolution: what is known and not valid is no surface; `interval` in t, of
+    the finest level; `ratio` (B,) of the sweep's near to its far end. A candidate is as likely as it is near, by a
+    Laplace distribution, where a large error counts not much more than a middling one; and those far off cost what
+    they are off by, or a guess at what no source sees would be as often far away as near.
     """
     apart = (refined.candidates - t).abs() / interval
     close = -apart.clamp_max(NEAR) - FAR_WEIGHT * apart
@@ -110,5 +112,6 @@ def refinement_loss(refined: Refined, t: Tensor, valid: Tensor, interval: float,
     # The planes across the picture part its surfaces among them, chosen or not: what is never near is never chosen.
     per_pixel = per_pixel - PLANES_WEIGHT * torch.logsumexp(close[:, -PLANES:], 1, keepdim=True)
     right = valid & (error.detach() * INTERVALS < 1)
-    confidence = F.binary_cross_entropy_with_logits(refined.confidence_logit, right.float())
-    return (per_pixel * valid).sum() / valid.sum().clamp_min(1) + 0.5 * confidence
+    confidence = F.binary_cross_entropy_with_logits(refined.confidence_logit, right.float(), reduction="none")
+    confident = (confidence * known).sum() / known.sum().clamp_min(1)
+    return (per_pixel * valid).sum() / valid.sum().clamp_min(1) + 0.5 * confident

@@ -203,7 +203,8 @@ def step(
     estimate = outputs[-1].t
     if proposal is not None:
         refined = plain_refined_depth(estimate.detach(), proposal, outputs[-1].interval)
-        value = value + refinement_loss(refined, t, valid, outputs[-1].interval, batch["near"] / batch["far"])
+        everywhere, ratio = torch.ones_like(valid), batch["near"] / batch["far"]
+        value = value + refinement_loss(refined, t, valid, everywhere, outputs[-1].interval, ratio)
         estimate = refined.t
     state.optimiser.zero_grad(set_to_none=True)
     value.backward()
