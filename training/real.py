@@ -36,9 +36,9 @@ MOST_THROUGH = 0.1  # of the confidence of those that agree may look through
 _CACHE = 1 << 30
 
 
-def strict_depth(view: View, views: dict[str, View], depth_maps: DepthMaps) -> np.ndarray:
-    """z-depth (H,W) float32 of a view where many views agree on it, 0 elsewhere; world units."""
-    reporter, options = Reporter(), Options(max_reprojection_error=1.0, max_depth_difference=TOLERANCE)
+def strict_depth(view: View, views: dict[str, View], depth_maps: DepthMaps, options: Options) -> np.ndarray:
+    """z-depth (H,W) float32 of a view where many views agree on it within the options' limits, 0 elsewhere."""
+    reporter = Reporter()
     found = depth_maps[view]
     sure = np.isfinite(found.inverse_depth) & (found.confidence > CONFIDENCE)
     pixels = Pixels(view, np.flatnonzero(sure), found.inverse_depth[sure])
@@ -58,10 +58,11 @@ def real_scene(workspace: Path) -> Scene:
     if len({(view.width, view.height) for view in component.views}) > 1:
         raise ValueError(f"the pictures of {workspace} differ in size")
     views = {view.name: view for view in component.views}
+    options = Options(photos=None, workspace=workspace, max_reprojection_error=1.0, max_depth_difference=TOLERANCE)
     points, visible = _sparse_points(workspace / component.sparse, component)
     with TemporaryDirectory() as scratch:
         depth_maps = DepthMaps(workspace, _CACHE, Path(scratch), z_up=component.frame.up != "given")
-        depth = np.stack([strict_depth(view, views, depth_maps) for view in component.views])
+        depth = np.stack([strict_depth(view, views, depth_maps, options) for view in component.views])
     return Scene(
         np.stack([read_rgb(workspace / view.image) for view in component.views]), depth,
         np.stack([view.K for view in component.views]), np.stack([view.cam_from_world for view in component.views]),
