@@ -30,7 +30,7 @@ class CURECON_PT_present(Panel, bpy.types.Panel):
         if progress.running:
             label = f"{translated(progress.name)}  {progress.done}/{progress.total}"
             self.layout.progress(factor=max(progress.done - 1, 0) / progress.total, text=label)
-            self.layout.label(text="Esc in the render's window cancels")
+            self.layout.label(text="Esc cancels")
 
 
 class _Part(Panel):
