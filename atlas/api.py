@@ -7,6 +7,7 @@ from __future__ import annotations
 import hmac
 from dataclasses import dataclass
 
+from anyio import CapacityLimiter, to_thread
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
@@ -18,6 +19,8 @@ from .requests import Meter, body, check_origin, client, cookie_name, handled, p
 
 _QUARTER = 900  # seconds
 _searches = Meter(300, 300)
+# Threads of their own, so that uploads, which wait for disks, never keep a visitor waiting for one.
+_uploading, _checking = CapacityLimiter(8), CapacityLimiter(2)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,15 +184,16 @@ async def chunk(request: Request) -> Response:
     if not start.isdecimal() or len(start) > 15:
         raise Problem(400, "request", "start is the byte that the chunk begins at.")
     content = await body(request, parts(request).configuration.limits.chunk)
-    received = await run_in_threadpool(parts(request).uploads.add, found, request.path_params["id"],
-                                       request.path_params["number"], int(start), content)
+    received = await to_thread.run_sync(parts(request).uploads.add, found, request.path_params["id"],
+                                        request.path_params["number"], int(start), content, limiter=_uploading)
     parts(request).figures.received.inc(len(content))
     return JSONResponse({"received": received})
 
 
 async def finish(request: Request) -> Response:
     found = await person(request, uploads=True)
-    return JSONResponse(await run_in_threadpool(parts(request).uploads.finish, found, request.path_params["id"]))
+    return JSONResponse(await to_thread.run_sync(parts(request).uploads.finish, found, request.path_params["id"],
+                                                 limiter=_checking))
 
 
 # ---- sites

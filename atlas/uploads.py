@@ -108,12 +108,13 @@ class Uploads:
         if not content or len(content) > self._limits.chunk:
             raise Problem(413, "too_large", f"A chunk has 1 to {self._limits.chunk} bytes.")
         with self._database.read() as transaction:
-            self._due(transaction, person, upload, number, start, len(content))
+            self._due(transaction, person, upload, number, start, len(content), lock="")
         name = f"{INCOMING}/{upload}/{number}/{start}-{secrets.token_hex(6)}"
         self._store.put(name, content)
         try:
             with self._database.write() as transaction:
-                self._due(transaction, person, upload, number, start, len(content))
+                lock = "" if self._database.is_sqlite else " FOR UPDATE"
+                self._due(transaction, person, upload, number, start, len(content), lock=lock)
                 transaction.run("INSERT INTO chunk VALUES (:upload, :number, :start, :size, :object)", upload=upload,
                                 number=number, start=start, size=len(content), object=name)
                 transaction.run("UPDATE upload_file SET received = :end WHERE upload = :upload AND number = :number",
@@ -124,12 +125,12 @@ class Uploads:
             raise
         return start + len(content)
 
-    def _due(self, transaction: Transaction, person: Person, upload: str, number: int, start: int, size: int) -> None:
+    def _due(
+        self, transaction: Transaction, person: Person, upload: str, number: int, start: int, size: int, *, lock: str
+    ) -> None:
         row = self._own(transaction, person, upload)
-        lock = "" if self._database.is_sqlite else " FOR UPDATE"
-        file = transaction.one(f"SELECT size, received FROM upload_file WHERE upload = :upload AND number = "
-                               f":number{lock}",
-                               upload=upload, number=number)
+        file = transaction.one("SELECT size, received FROM upload_file WHERE upload = :upload AND number = :number"
+                               + lock, upload=upload, number=number)
         if file is None or row.state != "open":
             raise Problem(404, "unknown", "There is no such file in this upload.")
         if start != file.received:
