@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 HATCH, THICK = 2.5, 0.22  # from line to line, and a line's width
-PALE = 0.55  # of white over what is hatched, so that lines show on dark walls, too
+RIM = 0.15  # of white on both sides of a line, so that it shows on dark walls, too
 SPECK = 2.5  # side of the square in which the greater part decides: on less no line of a hatching would show
 CRACK = 1.5  # a gap this narrow does not open what it leads to
 STEP = 0.7  # in depth, from which on an edge is drawn
@@ -54,20 +54,21 @@ def hatching(facts: Facts, pixels_per_mm: float) -> Hatching:
 
 
 def hatch(pixels: np.ndarray, marked: Hatching, pixels_per_mm: float) -> np.ndarray:
-    """The picture (H,W,3) uint8 with what was not measured hatched upwards, and what no photo shows downwards."""
-    result = pixels.astype(np.float32)
-    either = (marked.unmeasured | marked.unseen)[..., None]
-    result = np.where(either, result + PALE * (255 - result), result)
-    for where, slope in ((marked.unmeasured, 1), (marked.unseen, -1)):
-        result[where & stripes(pixels.shape[:2], slope, pixels_per_mm)] = _INK
-    return np.rint(result).astype(np.uint8)
+    """The picture (H,W,3) uint8 with what was not measured hatched upwards, and what no photo shows downwards. Between
+    the lines it is as it was."""
+    result = pixels.copy()
+    for wide, colour in ((THICK + 2 * RIM, 255), (THICK, _INK)):
+        for where, slope in ((marked.unmeasured, 1), (marked.unseen, -1)):
+            result[where & stripes(pixels.shape[:2], slope, wide, pixels_per_mm)] = colour
+    return result
 
 
-def stripes(shape: tuple[int, ...], slope: int, pixels_per_mm: float) -> np.ndarray:
-    """Lines (H,W) bool at 45 degrees; slope 1 rises to the right, as paper has it, -1 falls."""
+def stripes(shape: tuple[int, ...], slope: int, wide: float, pixels_per_mm: float) -> np.ndarray:
+    """Lines (H,W) bool at 45 degrees, so many millimetres wide; slope 1 rises to the right, as paper has it, -1
+    falls."""
     row, column = np.ogrid[: shape[0], : shape[1]]
-    every, wide = (max(1, round(length * np.sqrt(2) * pixels_per_mm)) for length in (HATCH, THICK))  # all lines alike
-    result: np.ndarray = (column + slope * row) % every < wide
+    every, wide = (max(1, round(length * np.sqrt(2) * pixels_per_mm)) for length in (HATCH, wide))  # all lines alike
+    result: np.ndarray = (column + slope * row + wide // 2) % every < wide
     return result
 
 
