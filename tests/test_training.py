@@ -292,11 +292,11 @@ def test_a_guess_too_deep_costs_more_than_one_as_many_intervals_too_near() -> No
     assert loss(0.0) < loss(-0.2) < loss(0.2)
 
 
-def test_confidence_learns_of_no_surface_but_not_of_what_is_unknown() -> None:
+def test_confidence_learns_of_no_surface_but_nothing_where_the_truth_has_gaps() -> None:
     t, logit = torch.full((1, 1, 1, 3), 0.7), torch.zeros(1, 1, 1, 3, requires_grad=True)
     refined = Refined(t, logit, t.expand(1, 4, 1, 3), torch.full((1, 4, 1, 3), 0.25))
-    surface, known = torch.tensor([[[[True, False, False]]]]), torch.tensor([[[[True, True, False]]]])
-    refinement_loss(refined, t, surface, known, 0.002, torch.tensor([0.1])).backward()
+    surface, whole = torch.tensor([[[[True, False, True]]]]), torch.tensor([[[[True, True, False]]]])
+    refinement_loss(refined, t, surface, whole, 0.002, torch.tensor([0.1])).backward()
     assert logit.grad is not None
-    right, nothing, unknown = (float(value) for value in logit.grad[0, 0, 0])
-    assert right < 0 < nothing and unknown == 0
+    right, nothing, gaps = (float(value) for value in logit.grad[0, 0, 0])
+    assert right < 0 < nothing and gaps == 0

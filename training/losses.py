@@ -90,14 +90,15 @@ def total_loss(outputs: list[LevelOutput], t: Tensor, valid: Tensor, representat
 
 
 def refinement_loss(
-    refined: Refined, t: Tensor, valid: Tensor, known: Tensor, interval: float, ratio: Tensor
+    refined: Refined, t: Tensor, valid: Tensor, whole: Tensor, interval: float, ratio: Tensor
 ) -> Tensor:
     """Of the choice between candidates, of the depth, and of its confidence (where there is no surface, it is wrong).
 
-    `t`, `valid`, `known` (B,1,H,W) at full resolution: what is known and not valid is no surface; `interval` in t, of
-    the finest level; `ratio` (B,) of the sweep's near to its far end. A candidate is as likely as it is near, by a
-    Laplace distribution, where a large error counts not much more than a middling one; and those far off cost what
-    they are off by, or a guess at what no source sees would be as often far away as near.
+    `t`, `valid`, `whole` (B,1,H,W) at full resolution. Confidence learns only where the truth is whole, so that what is
+    not valid is no surface: from what is sure alone it would learn to be sure. `interval` in t, of the finest level;
+    `ratio` (B,) of the sweep's near to its far end. A candidate is as likely as it is near, by a Laplace distribution,
+    where a large error counts not much more than a middling one; and those far off cost what they are off by, or a
+    guess at what no source sees would be as often far away as near.
     """
     apart = (refined.candidates - t).abs() / interval
     close = -apart.clamp_max(NEAR) - FAR_WEIGHT * apart
@@ -113,5 +114,5 @@ def refinement_loss(
     per_pixel = per_pixel - PLANES_WEIGHT * torch.logsumexp(close[:, -PLANES:], 1, keepdim=True)
     right = valid & (error.detach() * INTERVALS < 1)
     confidence = F.binary_cross_entropy_with_logits(refined.confidence_logit, right.float(), reduction="none")
-    confident = (confidence * known).sum() / known.sum().clamp_min(1)
+    confident = (confidence * whole).sum() / whole.sum().clamp_min(1)
     return (per_pixel * valid).sum() / valid.sum().clamp_min(1) + 0.5 * confident

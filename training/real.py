@@ -7,7 +7,7 @@
 Make the workspace with more sources and finer pictures than training shows the network (`reconstruct PHOTOS --quality
 high --views 8 --until depth`): then the scene's depth knows more than the network is told. A pixel has depth where at
 least FEWEST views agree within TOLERANCE and a pixel, and no sure view looks through; it is the mean of theirs. All
-other pixels are unknown: training counts none of them, and learns of no sky from them.
+other pixels are unknown: training counts none of them, and confidence learns nothing from such a scene.
 """
 
 from __future__ import annotations

@@ -57,8 +57,8 @@ _COLOURS, _UNIT = 255, 65535  # steps of a stored colour, of a stored sweep coor
 @torch.no_grad()
 def cascade_map(network: LCMMVSNet, sample: Sample) -> dict[str, np.ndarray]:
     """What the refinement sees of a sample, and the truth: `image` (H,W,3) uint8; `t`, `truth` (H,W) and `shares`
-    (3,H,W) uint16 in steps of 1/65535; `valid` (H,W) where the truth lies within the sweep, `known` where one knows;
-    the finest `interval`; `points` (P,4), `near` and `far` of the sample."""
+    (3,H,W) uint16 in steps of 1/65535; `valid` (H,W) where the truth lies within the sweep; `whole` (H,W) where
+    confidence learns; the finest `interval`; `points` (P,4), `near` and `far` of the sample."""
     batch = batch_tensors([sample], torch.device("cpu"))
     with torch.autocast("cpu", torch.bfloat16, enabled=BF16):
         outputs = network(*(batch[k] for k in ("images", "K", "cam_from_world", "near", "far", "scores")))
@@ -70,7 +70,7 @@ def cascade_map(network: LCMMVSNet, sample: Sample) -> dict[str, np.ndarray]:
     valid = ((batch["depth"] > 0) & (truth >= 0) & (truth < 1))[0, 0].numpy()
     return {
         "image": sample.images[0], "t": stored(outputs[-1].t[0, 0]), "shares": stored(level_confidences(outputs)[0]),
-        "truth": stored(truth[0, 0]), "valid": valid, "known": np.full_like(valid, True) if sample.complete else valid,
+        "truth": stored(truth[0, 0]), "valid": valid, "whole": np.full_like(valid, sample.complete),
         "interval": np.float32(outputs[-1].interval), "points": sample.points, "near": sample.near, "far": sample.far,
     }
 
@@ -104,7 +104,7 @@ def crop_of(path: Path, rng: np.random.Generator) -> dict[str, Tensor]:
         y = int(rng.integers((height - CROP[1]) // MULTIPLE + 1)) * MULTIPLE
         x = int(rng.integers((width - CROP[0]) // MULTIPLE + 1)) * MULTIPLE
         cut = np.s_[..., y : y + CROP[1], x : x + CROP[0]]
-        scale = {"image": _COLOURS, "t": _UNIT, "shares": _UNIT, "truth": _UNIT, "valid": 1, "known": 1}
+        scale = {"image": _COLOURS, "t": _UNIT, "shares": _UNIT, "truth": _UNIT, "valid": 1, "whole": 1}
         parts = {name: np.moveaxis(data[name], -1, 0) if name == "image" else data[name] for name in scale}
         found = {name: torch.from_numpy(np.atleast_3d(parts[name][cut].astype(np.float32)) / scale[name])
                  for name in scale}
@@ -136,12 +136,12 @@ def step(state: State, crop: dict[str, Tensor], horizon: int, rate: float) -> di
     for group in state.optimiser.param_groups:
         group["lr"] = rate * learning_rate(state.steps, horizon)
     truth, interval = crop["truth"], float(crop["interval"])
-    valid, known = crop["valid"] > 0, crop["known"] > 0
+    valid, whole = crop["valid"] > 0, crop["whole"] > 0
     with torch.autocast("cpu", torch.bfloat16, enabled=BF16):
         refinement = cast(Refinement, state.network.refinement)
         proposal = refinement(crop["image"], crop["t"], crop["shares"], interval, crop["points"])
     refined = plain_refined_depth(crop["t"], proposal, interval)
-    value = refinement_loss(refined, truth, valid, known, interval, crop["ratio"])
+    value = refinement_loss(refined, truth, valid, whole, interval, crop["ratio"])
     state.optimiser.zero_grad(set_to_none=True)
     value.backward()
     if torch.nn.utils.clip_grad_norm_(refinement.parameters(), GRADIENT_NORM).isfinite():
