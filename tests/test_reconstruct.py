@@ -188,7 +188,7 @@ def test_cancelling_keeps_finished_work_and_says_so(site_photos: Path, tmp_path:
             process.stdin.flush()
     assert process.wait(timeout=120) == 130
     assert isinstance(seen[-1], messages.Failure) and seen[-1].kind == "cancelled"
-    assert "go on" in seen[-1].remedy
+    assert "goes on" in seen[-1].remedy
     assert (tmp_path / "w" / "stages" / "photos.json").exists()
 
 

@@ -16,7 +16,7 @@ from pictures import pixels_of
 
 import curecon_blender
 from curecon_blender import preferences
-from curecon_blender.scene import cameras, site
+from curecon_blender.scene import cameras, flight, site
 from curecon_blender.scene.surface import surfaces_of
 
 PHOTOS, WORKSPACE, PYTHON = map(Path, sys.argv[1:4])
@@ -34,9 +34,10 @@ try:
 
     (surface,) = surfaces_of(scene)
     assert properties.result.textured and any(material.node_tree for material in surface.data.materials)
-    box = site.box(scene)
-    for corner in box.centre + (np.indices((2, 2, 2)).reshape(3, -1).T * 2 - 1) * box.half @ np.array(
-            [box.axis(index) for index in range(3)]):
+    # The building is whole in the picture: what lies about it, and in the corners of its box, may go on beyond.
+    box = site.box(scene, strays=flight.FRINGE)
+    core = (np.indices((2, 2, 2)).reshape(3, -1).T * 2 - 1) * box.half * [flight.CORE, flight.CORE, 1]
+    for corner in box.centre + core @ np.array([box.axis(index) for index in range(3)]):
         place = world_to_camera_view(scene, scene.camera, Vector(corner.tolist()))
         assert 0 <= place.x <= 1 and 0 <= place.y <= 1 and place.z > 0, f"{corner} is out of the picture"
     picture = pixels_of(WORKSPACE / "presentation" / "still.png")
