@@ -34,6 +34,8 @@ from curecon_blender.core.publish.records import About, Note
 from curecon_blender.core.publish.write import Source, write_site
 
 PASSWORD = "correct horse battery"
+CHUNK = 20_000
+LIMITS = f"[limits]\nchunk = {CHUNK}\nuploads = 100\n"
 _PATIENCE = 120  # seconds for a server to come up on a busy computer
 
 

@@ -10,15 +10,18 @@ import pickle
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import forked
 import pytest
 from filelock import FileLock
 from PIL import Image
+
+if TYPE_CHECKING:
+    from atlas_run import Asker, Atlas
 
 # Threads that wait for each other turn in circles: two tests side by side, of one thread each, take a third of the
 # processor's time that two threads each would. Set before torch is imported, and for every process that a test starts.
@@ -109,3 +112,54 @@ def textured(finished: tuple[Path, Run], site_photos: Path, made_once: MakeOnce[
         return folder, run
 
     return made_once("textured", surfaced)
+
+
+# ---- the atlas: its own libraries are loaded where a test asks for it
+
+@pytest.fixture(scope="module")
+def little(made_once: MakeOnce[Path]) -> Callable[..., Path]:
+    """A published little site. Read only."""
+    from atlas_run import make_site
+
+    from curecon_blender.core.base.options import CELL
+
+    return lambda title="Gate", location=CELL: made_once(
+        f"atlas_{title}_{location}", lambda folder: make_site(folder / "p", title, location))
+
+
+@pytest.fixture(scope="module")
+def files(little: Callable[..., Path]) -> dict[str, bytes]:
+    """What is sent of it."""
+    from atlas_run import listed
+
+    return listed(little())
+
+
+@pytest.fixture
+def titled(files: dict[str, bytes], request: pytest.FixtureRequest) -> dict[str, bytes]:
+    """The files of a site with a name of its own."""
+    name = request.node.name[:50]
+    record = {
+        **json.loads(files["site.json"]),
+        "title": name,
+        "id": "".join(c if c.isalnum() else "-" for c in name.lower()),
+    }
+    return {**files, "site.json": json.dumps(record).encode()}
+
+
+@pytest.fixture(scope="module")
+def atlas(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Atlas]:
+    from atlas_run import LIMITS, running
+
+    with running(tmp_path_factory.mktemp("atlas"), more=LIMITS) as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def moderator(atlas: Atlas) -> Asker:
+    return atlas.somebody("moderator", "Moira")
+
+
+@pytest.fixture(scope="module")
+def contributor(atlas: Atlas) -> Asker:
+    return atlas.somebody("contributor", "Conrad")

@@ -5,38 +5,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from urllib.parse import urljoin
 
-import pytest
-from atlas_run import PASSWORD, Asker, Atlas, listed, make_site, running
-from conftest import MakeOnce
+from atlas_run import PASSWORD, Asker, Atlas, listed, make_site
 
-from curecon_blender.core.base.options import CELL, EXACT, HIDDEN
-
-
-@pytest.fixture(scope="module")
-def little(made_once: MakeOnce[Path]) -> Callable[..., Path]:
-    """A published little site. Read only."""
-    return lambda title="Gate", location=CELL: made_once(
-        f"atlas_{title}_{location}", lambda folder: make_site(folder / "p", title, location))
-
-
-@pytest.fixture(scope="module")
-def atlas(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Atlas]:
-    with running(tmp_path_factory.mktemp("atlas"), more="[limits]\nchunk = 20000\nuploads = 100\n") as found:
-        yield found
-
-
-@pytest.fixture(scope="module")
-def moderator(atlas: Atlas) -> Asker:
-    return atlas.somebody("moderator", "Moira")
-
-
-@pytest.fixture(scope="module")
-def contributor(atlas: Atlas) -> Asker:
-    return atlas.somebody("contributor", "Conrad")
+from curecon_blender.core.base.options import EXACT, HIDDEN
 
 
 def test_a_site_comes_to_the_map_when_a_moderator_accepts_it(
