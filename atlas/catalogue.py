@@ -60,8 +60,7 @@ class Catalogue:
         """Sites of some pages, the last of which is the oldest, newest first; `next` leads on."""
         low = pages[-1]
         rows = transaction.all("SELECT feature FROM site WHERE state = 'public' AND number >= :low AND number < :high "
-                               "ORDER "
-                               "BY number DESC", low=PAGE * low, high=PAGE * (pages[0] + 1))
+                               "ORDER BY number DESC", low=PAGE * low, high=PAGE * (pages[0] + 1))
         links = (
             [{"rel": "next", "href": f"{_FOLDER}/pages/{low - 1}.json", "type": "application/geo+json"}] if low else []
         )
@@ -91,8 +90,7 @@ class Catalogue:
 
     def _write_part(self, transaction: Transaction, part: int) -> None:
         rows = transaction.all("SELECT name, title, published FROM site WHERE state = 'public' AND number >= :low AND "
-                               "number "
-                               "< :high ORDER BY number", low=STAC * part, high=STAC * (part + 1))
+                               "number < :high ORDER BY number", low=STAC * part, high=STAC * (part + 1))
         self._put(
             f"{_FOLDER}/stac/{part}.json",
             {
@@ -178,8 +176,8 @@ class Catalogue:
         width = len(prefix) + quadkeys.STEP
         return transaction.all(
             f"SELECT substr(quadkey, 1, {width}) AS part, count(*) AS count, avg(longitude) AS longitude, "
-            f"avg(latitude) AS "
-            f"latitude FROM site WHERE quadkey >= :low AND quadkey < :high GROUP BY substr(quadkey, 1, {width})",
+            f"avg(latitude) AS latitude FROM site WHERE quadkey >= :low AND quadkey < :high GROUP BY substr(quadkey, "
+            f"1, {width})",
             low=prefix, high=f"{prefix}4")
 
     def _write_tile(self, transaction: Transaction, prefix: str) -> int:

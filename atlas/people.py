@@ -70,8 +70,8 @@ def rate(database: Database, what: str, most: int, seconds: int) -> None:
     """Count one more of `what`. Raises Problem when there were more than `most` in this span of time."""
     began = now() // seconds * seconds
     with database.write() as transaction:
-        transaction.run("INSERT INTO rate VALUES (:what, :began, 1) ON CONFLICT (what, began) DO UPDATE SET "
-                        "count = rate.count + 1", what=what, began=began)
+        transaction.run("INSERT INTO rate VALUES (:what, :began, 1) ON CONFLICT (what, began) DO UPDATE SET count = "
+                        "rate.count + 1", what=what, began=began)
         count = transaction.value(
             "SELECT count FROM rate WHERE what = :what AND began = :began", what=what, began=began
         )
@@ -141,8 +141,7 @@ def who(database: Database, token: str, kind: str) -> Person | None:
     with database.read() as transaction:
         row = transaction.one(
             "SELECT account.id, name, role FROM token JOIN account ON account.id = token.account WHERE digest = "
-            ":digest "
-            "AND kind = :kind AND ends > :now AND closed IS NULL", digest=digest(token), kind=kind, now=now())
+            ":digest AND kind = :kind AND ends > :now AND closed IS NULL", digest=digest(token), kind=kind, now=now())
     return Person(row.id, row.name, row.role, kind) if row else None
 
 

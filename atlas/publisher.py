@@ -61,8 +61,8 @@ class Publisher:
         with self._database.write() as transaction:
             return bool(transaction.run(
                 "INSERT INTO lease VALUES ('publisher', :me, :ends) ON CONFLICT (name) DO UPDATE SET holder = :me, "
-                "ends = "
-                ":ends WHERE lease.holder = :me OR lease.ends < :now", me=self._me, ends=now() + _LEASE, now=now()))
+                "ends = :ends WHERE lease.holder = :me OR lease.ends < "
+                ":now", me=self._me, ends=now() + _LEASE, now=now()))
 
     def release(self) -> None:
         with self._database.write() as transaction:
@@ -216,9 +216,8 @@ class Publisher:
     def _forget_held(self, name: str) -> None:
         """Remove the copies that moderators looked at, once the public ones stand."""
         with self._database.read() as transaction:
-            versions = transaction.all("SELECT id FROM version WHERE site = :name AND state IN ('accepted', "
-                                       "'removed') AND EXISTS "
-                                       "(SELECT 1 FROM site WHERE name = :name AND changed = 0)", name=name)
+            versions = transaction.all("SELECT id FROM version WHERE site = :name AND state IN ('accepted', 'removed') "
+                                       "AND EXISTS (SELECT 1 FROM site WHERE name = :name AND changed = 0)", name=name)
         for version in versions:
             self._store.remove_folder(f"{HELD}/{version.id}")
 

@@ -68,12 +68,10 @@ class Sites:
         """Of two who decide at once, the second is told of the first."""
         changed = transaction.run(
             "UPDATE version SET state = :state, decided = :now, decided_by = :by, why = :why WHERE id = :id AND state "
-            "= "
-            "'held'", state=state, now=now(), by=person.id, why=why, id=version)
+            "= 'held'", state=state, now=now(), by=person.id, why=why, id=version)
         row = transaction.one(
             "SELECT version.*, account.name AS by_name FROM version LEFT JOIN account ON account.id = "
-            "version.decided_by "
-            "WHERE version.id = :id", id=version)
+            "version.decided_by WHERE version.id = :id", id=version)
         if row is None:
             raise Problem(404, "unknown", "There is no such version.")
         if not changed:
@@ -104,9 +102,8 @@ class Sites:
             sites = transaction.all("SELECT name, state, title, newest, why, removed FROM site WHERE owner = :id AND "
                                     "state "
                                     f"<> 'new' ORDER BY made DESC LIMIT {_LISTED}", id=person.id)
-            uploads = transaction.all("SELECT id, bytes, made FROM upload WHERE account = :id AND state = 'open' "
-                                      "ORDER BY "
-                                      "made DESC", id=person.id)
+            uploads = transaction.all("SELECT id, bytes, made FROM upload WHERE account = :id AND state = 'open' ORDER "
+                                      "BY made DESC", id=person.id)
         return {"versions": [_told(row) for row in versions], "sites": [dict(row._mapping) for row in sites],
                 "uploads": [dict(row._mapping) for row in uploads]}
 
@@ -114,8 +111,8 @@ class Sites:
         """Take back a version that is held. Raises Problem."""
         with self._database.write() as transaction:
             if not transaction.run("UPDATE version SET state = 'withdrawn', decided = :now, record = '{}', about = "
-                                   "'{}' "
-                                   "WHERE id = :id AND account = :account AND state = 'held'", now=now(), id=version,
+                                   "'{}' WHERE id = :id AND account = :account AND state = "
+                                   "'held'", now=now(), id=version,
                                    account=person.id):
                 raise Problem(404, "unknown", "There is no such version of yours that is held.")
             note(transaction, person.id, "withdrawn", version)
@@ -136,14 +133,12 @@ class Sites:
                 raise Problem(409, "removed", "This site was taken down already.")
             held = transaction.all("SELECT id FROM version WHERE site = :name AND state = 'held'", name=name)
             transaction.run("UPDATE version SET state = CASE state WHEN 'accepted' THEN 'removed' ELSE 'withdrawn' "
-                            "END, record "
-                            "= '{}', about = '{}' WHERE site = :name AND state IN ('held', 'accepted')", name=name)
+                            "END, record = '{}', about = '{}' WHERE site = :name AND state IN ('held', "
+                            "'accepted')", name=name)
             transaction.run(
                 "UPDATE site SET state = 'removed', removed = :now, why = :why, title = '', place = '', tags = '[]', "
-                "register = "
-                "'', period_from = NULL, period_to = NULL, longitude = NULL, latitude = NULL, quadkey = NULL, feature "
-                "= "
-                "'{}', changed = changed + 1 WHERE name = :name", now=now(), why=why, name=name)
+                "register = '', period_from = NULL, period_to = NULL, longitude = NULL, latitude = NULL, quadkey = "
+                "NULL, feature = '{}', changed = changed + 1 WHERE name = :name", now=now(), why=why, name=name)
             transaction.run("DELETE FROM place WHERE site = :name", name=name)
             words.forget(transaction, name)
             note(transaction, person.id, "remove", name, why)
@@ -194,9 +189,8 @@ def enter(
         "quadkey": middle and quadkeys.of(*middle), "feature": json.dumps(feature, ensure_ascii=False),
     }
     transaction.run(
-        "UPDATE site SET state = 'public', number = :number, newest = :newest, published = :now, title = :title, "
-        "place = "
-        ":place, tags = :tags, register = :register, period_from = :period_from, period_to = :period_to, longitude = "
+        "UPDATE site SET state = 'public', number = :number, newest = :newest, published = :now, title = :title, place "
+        "= :place, tags = :tags, register = :register, period_from = :period_from, period_to = :period_to, longitude = "
         ":longitude, latitude = :latitude, quadkey = :quadkey, feature = :feature, changed = changed + 1 WHERE name = "
         ":name",
         **values)

@@ -79,8 +79,7 @@ class Uploads:
             "'held'", id=person.id)
         if open_ + held >= self._limits.uploads or open_bytes + held_bytes + size > self._limits.account:
             raise Problem(409, "full", "You have as many uploads open or held as there may be. Withdraw one, or wait "
-                                       "until "
-                                       "a moderator has decided.")
+                                       "until a moderator has decided.")
 
     def _own(self, transaction: Transaction, person: Person, upload: str) -> Row[Any]:
         """Another's upload is as one that never was."""
@@ -210,8 +209,8 @@ class Uploads:
             name = self._name(transaction, person, site.id)
             transaction.run(
                 "INSERT INTO version VALUES (:id, :site, NULL, 'held', :account, :now, NULL, NULL, '', :record, "
-                ":about, "
-                ":doubts, :bytes)", id=version, site=name, account=person.id, now=now(), bytes=size, about=upload.about,
+                ":about, :doubts, "
+                ":bytes)", id=version, site=name, account=person.id, now=now(), bytes=size, about=upload.about,
                 record=json.dumps(site.as_json(), ensure_ascii=False), doubts=json.dumps(doubts))
             transaction.many("INSERT INTO version_file VALUES (:version, :path, :size, :sha256)",
                              [{"version": version, **asdict(file)} for file in files if file.path != _RECORD])
@@ -230,8 +229,8 @@ class Uploads:
             if row is None:
                 transaction.run(
                     "INSERT INTO site (name, owner, state, newest, made, why, title, place, tags, register, feature, "
-                    "changed) "
-                    "VALUES (:name, :owner, 'new', 0, :now, '', '', '', '[]', '', '{}', 0)", name=name, owner=person.id,
+                    "changed) VALUES (:name, :owner, 'new', 0, :now, '', '', '', '[]', '', '{}', "
+                    "0)", name=name, owner=person.id,
                     now=now())
                 return name
             if row.owner == person.id and row.state != "removed":

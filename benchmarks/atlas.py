@@ -98,9 +98,8 @@ def catalogue(count: int, folder: Path) -> None:
         )
     with parts.database.write() as transaction:
         transaction.run("INSERT INTO account VALUES ('a', 'a', 'contributor', '', 0, 0)")
-        transaction.many("INSERT INTO site VALUES (:name, 'a', 'public', :number, 1, :now, :now, NULL, '', :title, "
-                         "'', '[]', '', NULL, "
-                         "NULL, :longitude, :latitude, :quadkey, NULL, :feature, 0)", rows)
+        transaction.many("INSERT INTO site VALUES (:name, 'a', 'public', :number, 1, :now, :now, NULL, '', :title, '', "
+                         "'[]', '', NULL, NULL, :longitude, :latitude, :quadkey, NULL, :feature, 0)", rows)
         transaction.many("INSERT INTO words (name, said) VALUES (:name, :said)", rows)
     began = time.process_time()
     parts.publisher.write_pages()
@@ -248,9 +247,8 @@ def load(visitors: int, uploads: int, megabytes: int, seconds: int, folder: Path
     print(f"{visitors} visitors, {uploads} uploads of {megabytes} MB, one SIGKILL: {took:.0f} s, "
           f"{uploads * megabytes / took:.0f} MB/s; {len(results)} of {uploads} came whole")
     print(f"{len(waits):,} answers to visitors, median {1000 * waits[len(waits) // 2]:.0f} ms, 95 % "
-          f"{1000 * waits[int(0.95 * len(waits))]:.0f} "
-          f"ms, 99 % {1000 * waits[int(0.99 * len(waits))]:.0f} ms, longest {1000 * waits[-1]:.0f} ms; {failed[0]} "
-          f"failed")
+          f"{1000 * waits[int(0.95 * len(waits))]:.0f} ms, 99 % {1000 * waits[int(0.99 * len(waits))]:.0f} ms, longest "
+          f"{1000 * waits[-1]:.0f} ms; {failed[0]} failed")
     print(f"memory of the server at most {most[0] / 1024:.0f} MiB; of this program "
           f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB")
     wrong = 0

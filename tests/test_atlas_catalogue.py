@@ -53,8 +53,7 @@ def place(database: Database, number: int, where: tuple[float, float] | None) ->
         old = transaction.value("SELECT quadkey FROM site WHERE name = :name", name=name)
         transaction.run("DELETE FROM site WHERE name = :name", name=name)
         transaction.run("INSERT INTO site VALUES (:name, 'a', :state, :number, 1, 0, :number, NULL, '', :title, '', "
-                        "'[]', '', NULL, NULL, "
-                        ":longitude, :latitude, :key, NULL, :feature, 0)", **values)
+                        "'[]', '', NULL, NULL, :longitude, :latitude, :key, NULL, :feature, 0)", **values)
     return " ".join(key for key in (old, values["key"]) if key)
 
 

@@ -67,8 +67,7 @@ class CURECON_AP_preferences(bpy.types.AddonPreferences):
     atlas_token: StringProperty(
         name="Atlas Token",
         description="Made on your page of the atlas. It can upload in your name and nothing else. Blender keeps it "
-                    "with "
-                    "the preferences, as it is",
+                    "with the preferences, as it is",
         subtype="PASSWORD",
     )
     sound: BoolProperty(
