@@ -19,7 +19,8 @@ from .requests import Meter, body, check_origin, client, cookie_name, handled, p
 
 _QUARTER = 900  # seconds
 _searches = Meter(300, 300)
-# Threads of their own, so that uploads, which wait for disks, never keep a visitor waiting for one.
+# Threads of their own, so that uploads, which wait for disks, never keep a visitor waiting for one; and so few for
+# checks that many uploads that end at once take no more memory than two.
 _uploading, _checking = CapacityLimiter(8), CapacityLimiter(2)
 
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 import hashlib
 import json
 import secrets
-import threading
 from dataclasses import asdict
 from typing import Any
 
@@ -27,7 +26,6 @@ from .store import HELD, INCOMING, Store
 
 _RECORD = "site.json"  # the database has what it says
 _LONGEST_CHECK = 3600  # seconds
-_checking = threading.Semaphore(2)  # so that many uploads that end at once take no more memory than two
 
 
 class Uploads:
@@ -163,8 +161,7 @@ class Uploads:
             transaction.run("INSERT INTO lease VALUES (:name, :id, :ends)", name=f"hold/{version}", id=upload,
                             ends=now() + _LONGEST_CHECK)
         try:
-            with _checking:
-                site, doubts = checks.check(files, lambda file: self._together(file, chunks[file.path], version))
+            site, doubts = checks.check(files, lambda file: self._together(file, chunks[file.path], version))
         except Problem as problem:
             self._store.remove_folder(f"{HELD}/{version}")
             if problem.code == "refused":

@@ -22,8 +22,6 @@ from ..preferences import LOCKS, settings
 from . import running
 from .running import WorkerOperator
 
-QUESTION_WIDTH = 460  # pixels at scale 1
-
 
 class CURECON_OT_get_libraries(WorkerOperator, bpy.types.Operator):
     """Fetch what CU-Recon computes with, once, from the package index, each file checked: about 400 MB, or 3 GB for
@@ -49,17 +47,14 @@ What has come stays when it is cancelled, and the next press goes on from there"
         if not LOCKS.is_dir():
             cls.poll_message_set("This CU-Recon brings its libraries itself")
             return False
-        if not bpy.app.online_access:
-            cls.poll_message_set("Allow Online Access is off in Blender's preferences, under System")
-            return False
-        return True
+        return running.online(cls)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if bpy.app.background:
             return self.execute(context)
         self._asked, self._card = True, find_card()
         return context.window_manager.invoke_props_dialog(
-            self, width=QUESTION_WIDTH, title="Get Libraries?", confirm_text="Get Libraries")
+            self, width=running.QUESTION_WIDTH, title="Get Libraries?", confirm_text="Get Libraries")
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, card = self.layout, self._card

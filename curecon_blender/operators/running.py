@@ -13,6 +13,7 @@ from typing import Any
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
+from bpy.app.translations import pgettext_n as n_
 
 from ..core.base.errors import Cancelled, CuReconError
 from ..core.base.messages import Failure, Log, StageStarted, failure
@@ -39,6 +40,9 @@ STAGE_NAMES = {
     "gaps": "Gaps", "upload": "Upload",
 }
 
+OFFLINE = n_("Allow Online Access is off in Blender's preferences, under System")
+QUESTION_WIDTH = 460  # pixels at scale 1
+
 status = Status()
 PREFERENCES = "preferences"
 # The panel that the job was started from, which shows its progress: "photos", "reconstruct" ..., or PREFERENCES.
@@ -63,6 +67,13 @@ def idle(operator: type[bpy.types.Operator]) -> bool:
     if status.running:
         operator.poll_message_set("Another job of CU-Recon is running")
     return not status.running
+
+
+def online(operator: type[bpy.types.Operator]) -> bool:
+    """For an operator's poll: whether the user lets Blender use the network; where not, the button says so."""
+    if not bpy.app.online_access:
+        operator.poll_message_set(OFFLINE)
+    return bpy.app.online_access
 
 
 def poll() -> bool:

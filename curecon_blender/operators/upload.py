@@ -21,7 +21,6 @@ from ..preferences import settings
 from . import paths, running
 from .running import WorkerOperator
 
-QUESTION_WIDTH = 460  # pixels at scale 1
 _items: list[tuple[str, str, str]] = []  # Blender keeps no copy of an enumeration's texts
 
 
@@ -54,14 +53,11 @@ What has come there stays when it is cancelled, and the next press goes on from 
         if not context.scene.curecon.result.published:
             cls.poll_message_set("Publish the site first")
             return False
-        if not bpy.app.online_access:
-            cls.poll_message_set("Allow Online Access is off in Blender's preferences, under System")
-            return False
-        return True
+        return running.online(cls)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         return context.window_manager.invoke_props_dialog(
-            self, width=QUESTION_WIDTH, title="Upload to Atlas?", confirm_text="Upload")
+            self, width=running.QUESTION_WIDTH, title="Upload to Atlas?", confirm_text="Upload")
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
@@ -77,7 +73,7 @@ What has come there stays when it is cancelled, and the next press goes on from 
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         if not bpy.app.online_access:
-            self.report({"ERROR"}, "Allow Online Access is off in Blender's preferences, under System")
+            self.report({"ERROR"}, running.OFFLINE)
             return {"CANCELLED"}
         return WorkerOperator.execute(self, context)
 

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated
 
@@ -85,6 +86,14 @@ class Photo:
     underexposed: bool = False  # too much of it is black
     sky: Annotated[float, Within(0, 1)] = 0.0  # share of it that looks like sky
     digest: str = ""  # of the picture itself: the same in a copy of the file, whatever its name, place and time
+
+    @property
+    def clock(self) -> datetime | None:
+        """When it was taken, by the clock's face; None where that is not known, or where a record was changed."""
+        try:
+            return datetime.fromisoformat(self.time or "").replace(tzinfo=None)
+        except ValueError:
+            return None
 
 
 @dataclass(frozen=True, kw_only=True)

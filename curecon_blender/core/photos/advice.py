@@ -9,7 +9,7 @@ import re
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import timedelta
 
 import cv2
 import numpy as np
@@ -30,7 +30,6 @@ SKY, WITH_SKY = 0.45, 0.2  # share of a picture that is sky, and of the photos t
 _SMALL = 160  # pixels: longest side at which sky is looked for
 _SMOOTH, _BRIGHT = 6.0, 110  # grey levels from pixel to pixel, and of the brightest channel
 _SIDES = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
-_TOLD_BY = overlap.TOLD_BY
 _SET = re.compile(r" [\d.]+ mm| as [\d.]+ mm| zoomed | \d+x\d+$")  # what a camera's name tells beside the camera
 
 
@@ -109,13 +108,13 @@ def _changed_zoom(photos: tuple[Photo, ...]) -> Iterator[Advice]:
 def _heights(photos: tuple[Photo, ...]) -> np.ndarray | None:
     """Metres (N,) above take-off, where nearly all photos tell them."""
     told = [photo.relative_altitude for photo in photos if (photo.relative_altitude or 0) > 0]
-    return np.array(told, float) if len(told) >= _TOLD_BY * len(photos) else None
+    return np.array(told, float) if len(told) >= overlap.TOLD_BY * len(photos) else None
 
 
 def _pitches(photos: tuple[Photo, ...]) -> np.ndarray | None:
     """Degrees (N,), where nearly all photos tell them."""
     told = [photo.gimbal.pitch for photo in photos if photo.gimbal is not None]
-    return np.array(told) if len(told) >= _TOLD_BY * len(photos) else None
+    return np.array(told) if len(told) >= overlap.TOLD_BY * len(photos) else None
 
 
 def _one_height(photos: tuple[Photo, ...]) -> Iterator[Advice]:
@@ -129,7 +128,7 @@ def _one_height(photos: tuple[Photo, ...]) -> Iterator[Advice]:
 
 def _no_obliques(photos: tuple[Photo, ...]) -> Iterator[Advice]:
     pitches = _pitches(photos)
-    if pitches is None or (pitches > STRAIGHT_DOWN).mean() > 1 - _TOLD_BY:
+    if pitches is None or (pitches > STRAIGHT_DOWN).mean() > 1 - overlap.TOLD_BY:
         return
     yield Advice(Text("The photos look straight down: walls will be missing or smeared."),
                  Text("Fly around the building with the camera 30 to 45 degrees down."))
@@ -152,13 +151,8 @@ def _rolling_shutter(photos: tuple[Photo, ...]) -> Iterator[Advice]:
 
 def _wandering_shadows(photos: tuple[Photo, ...]) -> Iterator[Advice]:
     """By the time of day, also of photos of several days."""
-    times = []
-    for photo in photos:
-        try:
-            times.append(datetime.fromisoformat(photo.time or ""))
-        except ValueError:
-            continue
-    if len(times) < _TOLD_BY * len(photos):
+    times = [time for photo in photos if (time := photo.clock) is not None]
+    if len(times) < overlap.TOLD_BY * len(photos):
         return
     seconds = np.sort([time.hour * 3600 + time.minute * 60 + time.second for time in times])
     first, last = np.quantile(seconds, [0.02, 0.98])

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import datetime
 
 import numpy as np
 
@@ -29,7 +28,7 @@ LEAST_INTERVAL, MOST_INTERVAL = 1.0, 3.0
 def speeds(photos: Sequence[Photo], centres: np.ndarray) -> list[float | None]:
     """Metres a second of the drone at each photo: as it tells, else from the places `centres` (N,3), metres, of the
     photos before and after it, where these follow so fast that it cannot have stopped; None where nothing tells."""
-    times = {n: time for n, photo in enumerate(photos) if (time := _time(photo)) is not None}
+    times = {n: time for n, photo in enumerate(photos) if (time := photo.clock) is not None}
     order = sorted(times, key=times.__getitem__)
     found = [photo.speed for photo in photos]
     for before, n, after in zip(order, order[1:], order[2:], strict=False):
@@ -57,11 +56,3 @@ def _readout(photo: Photo) -> float:
     if name == "FC3582" and photo.width * photo.height > _LARGE:
         return _LARGE_READOUT
     return _READOUTS.get(name, _USUAL_READOUT)
-
-
-def _time(photo: Photo) -> datetime | None:
-    """By the clock's face; of a record that someone changed it may be none."""
-    try:
-        return datetime.fromisoformat(photo.time or "").replace(tzinfo=None)
-    except ValueError:
-        return None

@@ -13,7 +13,7 @@ import numpy as np
 
 from .borders import smoothed
 from .support import Support
-from .triangles import corner_sums, face_neighbours, face_normals, triangle_areas
+from .triangles import corner_sums, face_neighbours, face_normals, triangle_areas, unit
 
 _POINTS = 16  # measured points about a vertex that move it
 _MOVES = 2  # times that all vertices are moved onto the points
@@ -43,9 +43,9 @@ def refined(vertices: np.ndarray, faces: np.ndarray, support: Support) -> np.nda
 
 def _unfolded(before: np.ndarray, moved: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """The moved vertices, those of folded faces where they were before, until no face is folded."""
-    moved, normals = moved.copy(), _unit(face_normals(before.astype(np.float64), faces))
+    moved, normals = moved.copy(), unit(face_normals(before.astype(np.float64), faces))
     while True:
-        turned = (_unit(face_normals(moved.astype(np.float64), faces)) * normals).sum(axis=1) < _TURNED
+        turned = (unit(face_normals(moved.astype(np.float64), faces)) * normals).sum(axis=1) < _TURNED
         back = np.unique(faces[turned])
         back = back[(moved[back] != before[back]).any(axis=1)]
         if not len(back):
@@ -80,7 +80,7 @@ def _offsets(places: np.ndarray, normals: np.ndarray, support: Support) -> np.nd
 def _sharpened(vertices: np.ndarray, faces: np.ndarray, farthest: float) -> np.ndarray:
     """The vertices (n,3) where the faces' filtered normals want them, at most so far from where they were."""
     area = triangle_areas(vertices[faces]).astype(np.float32)
-    normals = _unit(face_normals(vertices, faces)).astype(np.float32)
+    normals = unit(face_normals(vertices, faces)).astype(np.float32)
     beside = face_neighbours(faces)
     weight_of = np.where(beside >= 0, area[beside], 0)
     for _ in range(_ROUNDS):
@@ -89,7 +89,7 @@ def _sharpened(vertices: np.ndarray, faces: np.ndarray, farthest: float) -> np.n
             other = normals[beside[:, side]]
             apart = ((normals - other) ** 2).sum(axis=1)
             mean += (weight_of[:, side] * np.exp(-apart / (2 * _ALIKE**2)))[:, None] * other
-        normals = _unit(mean)
+        normals = unit(mean)
     whole = np.maximum(corner_sums(np.repeat(area[:, None], 3, axis=1), faces, len(vertices)), 1e-12)
     moved = vertices.copy()
     for _ in range(_FOLLOWING):
@@ -105,10 +105,5 @@ def _sharpened(vertices: np.ndarray, faces: np.ndarray, farthest: float) -> np.n
 
 def _vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     normals = face_normals(vertices, faces)
-    return _unit(np.stack([corner_sums(np.repeat(normals[:, axis : axis + 1], 3, axis=1), faces, len(vertices))
+    return unit(np.stack([corner_sums(np.repeat(normals[:, axis : axis + 1], 3, axis=1), faces, len(vertices))
                            for axis in range(3)], axis=1))
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    result: np.ndarray = vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-20)
-    return result

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .triangles import face_neighbours, face_normals, mesh_edges
+from .triangles import face_neighbours, face_normals, mesh_edges, unit
 
 _THIN = 15.0  # degrees: faces with a smaller angle are looked at
 _FLAT = 0.97  # cosine between two faces that count as one plane, and of how far a new face may turn
@@ -43,10 +43,10 @@ def _candidates(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np
     before = np.minimum(_least_angle(vertices, faces[first]), _least_angle(vertices, other))
     made = np.stack([a, d, c], axis=1), np.stack([d, b, c], axis=1)
     after = np.minimum(*(_least_angle(vertices, new) for new in made))
-    plane = _unit(face_normals(vertices, faces[first]) + face_normals(vertices, other))
-    good = (after > before) & ((plane * _unit(face_normals(vertices, other))).sum(axis=1) > _FLAT)
+    plane = unit(face_normals(vertices, faces[first]) + face_normals(vertices, other))
+    good = (after > before) & ((plane * unit(face_normals(vertices, other))).sum(axis=1) > _FLAT)
     for new in made:
-        good &= (plane * _unit(face_normals(vertices, new))).sum(axis=1) > _FLAT
+        good &= (plane * unit(face_normals(vertices, new))).sum(axis=1) > _FLAT
     count = len(vertices)
     edges = mesh_edges(faces)[0].astype(np.int64)
     key = np.minimum(c, d).astype(np.int64) * count + np.maximum(c, d)
@@ -70,8 +70,3 @@ def _least_angle(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     twice = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     angle: np.ndarray = np.degrees(np.arcsin(np.clip(twice / np.maximum(sides[:, 1] * sides[:, 2], 1e-30), 0, 1)))
     return angle
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    result: np.ndarray = vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-30)
-    return result

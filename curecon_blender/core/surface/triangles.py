@@ -25,6 +25,12 @@ def face_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.cross(second - first, third - first)
 
 
+def unit(vectors: np.ndarray) -> np.ndarray:
+    """Vectors (...,3) of length 1; those without a length stay so."""
+    units: np.ndarray = vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
+    return units
+
+
 def corner_sums(values: np.ndarray, faces: np.ndarray, count: int) -> np.ndarray:
     """The sum (count,) at each vertex of the values (M,3) at the corners of its faces."""
     return np.bincount(faces.ravel(), values.ravel(), count)

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..base.graphs import connected_components
 from ..surface.mesh import SHARP_ANGLE, Mesh
-from ..surface.triangles import face_neighbours, face_normals
+from ..surface.triangles import face_neighbours, face_normals, unit
 
 FLAT = (128, 128, 255)  # the texel of the surface's own direction
 _LEAST_Z = 0.1  # of a direction: what looks away from the surface is not to be seen on it
@@ -58,7 +58,7 @@ def frames(mesh: Mesh) -> Frames:
     (first, second), (one, two) = ((p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]) for p in (at, uv))
     side = np.where(one[:, 0] * two[:, 1] < one[:, 1] * two[:, 0], -1.0, 1.0)
     along = side[:, None] * (two[:, 1:] * first - one[:, 1:] * second)
-    along = _unit(np.repeat(along[:, None], 3, axis=1) - corners.normals * (corners.normals @ along[..., None]))
+    along = unit(np.repeat(along[:, None], 3, axis=1) - corners.normals * (corners.normals @ along[..., None]))
     # One tangent where faces are smooth and go on in the texture, too.
     same = side[corners.face] == side[corners.other]
     same &= (np.abs(uv[corners.face, corners.corner] - uv[corners.other, corners.theirs]).max(axis=1) < 1e-6)
@@ -74,7 +74,7 @@ class _Corners:
     def __init__(self, mesh: Mesh) -> None:
         faces = mesh.faces
         self._angles = _angles(mesh.vertices[mesh.faces].astype(np.float64))
-        flat = _unit(face_normals(mesh.vertices.astype(np.float64), faces))
+        flat = unit(face_normals(mesh.vertices.astype(np.float64), faces))
         neighbours = face_neighbours(faces)
         face, edge = np.nonzero(neighbours > np.arange(len(faces))[:, None])
         other = neighbours[face, edge]
@@ -93,17 +93,12 @@ class _Corners:
         fan = connected_components(pairs, values.shape[0] * 3)
         weighted = (values * self._angles[..., None]).reshape(-1, 3)
         total = np.stack([np.bincount(fan, weighted[:, axis]) for axis in range(3)], axis=1)
-        return _unit(total)[fan].reshape(values.shape)
+        return unit(total)[fan].reshape(values.shape)
 
 
 def _angles(corners: np.ndarray) -> np.ndarray:
     """The angle (M,3) at each corner of triangles (M,3,3)."""
-    following = _unit(np.roll(corners, -1, axis=1) - corners)
-    before = _unit(np.roll(corners, 1, axis=1) - corners)
+    following = unit(np.roll(corners, -1, axis=1) - corners)
+    before = unit(np.roll(corners, 1, axis=1) - corners)
     angles: np.ndarray = np.arccos(np.clip(np.einsum("nkc,nkc->nk", following, before), -1, 1))
     return angles
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    unit: np.ndarray = vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
-    return unit
