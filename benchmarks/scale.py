@@ -109,7 +109,7 @@ def draw(assets: Path, counts: list[int], seed: int, out: Path) -> None:
         for shot in shots:
             from_flight = shot.cam_from_world[:3]
             moved = np.column_stack([from_flight[:, :3], from_flight[:, 3] - from_flight[:, :3] @ middle])
-            drawn.append(renderer.render(K, moved, SIZE)[0])
+            drawn.append(renderer.render(K, moved, SIZE)[0][..., :3])
         folder.mkdir(parents=True)
         for shot, picture in zip(shots, photograph(np.random.default_rng(seed), drawn), strict=True):
             save_photo(picture, shot, folder / shot.name)

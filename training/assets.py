@@ -11,6 +11,7 @@ import zlib
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from PIL import Image
@@ -33,6 +34,7 @@ class Material:
     box_mapped: bool = False  # take UVs from the world position (metres) instead of the mesh
     ao: str | None = None
     alpha_cut: bool = False
+    mirror: Literal["", "water", "glass"] = ""  # what it shows beside its colour: the world upside down, or the sky
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,11 @@ from training.assets import Material, Mesh
 from training.procedural import Noise, Placement, Recess, around, panel, straight, wall_recesses
 
 
-def facade(rng: np.random.Generator, walls: Material, stone: Material, noise: Noise) -> tuple[list[Mesh], float, float]:
-    """A wall that one sees through, centred on the origin and turned to -y, half its width and its height: openings,
-    mostly an arcade before it, and behind it rooms with a roof, or, in a ruin, the sky."""
+def facade(
+    rng: np.random.Generator, walls: Material, stone: Material, noise: Noise
+) -> tuple[list[Mesh], float, float, list[Recess]]:
+    """A wall that one sees through, centred on the origin and turned to -y, half its width, its height and its
+    openings: mostly an arcade before it, and behind it rooms with a roof, or, in a ruin, the sky."""
     width, height, thick = rng.uniform(12, 34), rng.uniform(5, 15), rng.uniform(0.4, 1.2)
     below, amplitude = 1.0, rng.choice([0.01, 0.03, 0.06])
 
@@ -45,7 +47,19 @@ def facade(rng: np.random.Generator, walls: Material, stone: Material, noise: No
         meshes.append(sheet((right, deep, -below), -x, tall_size, -outward, back if rng.random() < 0.3 else ()))
     if rng.random() < 0.7:
         meshes += _arcade(rng, width, min(height, rng.uniform(3, 6)), stone, rough)
-    return meshes, width / 2, height
+    return meshes, width / 2, height, holes
+
+
+def panes(rng: np.random.Generator, half: float, holes: list[Recess], glass: Material) -> list[Mesh]:
+    """Glass in most of the openings of a facade, from `half` its width."""
+    x, y, up = np.eye(3)
+    meshes = []
+    for hole in holes:
+        if rng.random() < 0.7:
+            corner = np.array([hole.u0 - half, -0.6 * hole.offset, hole.v0])  # a little more than half way in
+            meshes.append(panel(hole.u1 - hole.u0, hole.v1 - hole.v0, straight(corner, x, up, -y), [],
+                                lambda points: np.zeros(len(points)), 2.0, glass))
+    return meshes
 
 
 def _arcade(

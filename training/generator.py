@@ -123,8 +123,9 @@ class Generator:
         """Full pictures of a rig; None when a sparse model of them would be too thin."""
         shots = [self.renderer.render(k, c, size) for k, c in zip(rig.K, rig.cam_from_world, strict=True)]
         depth = np.stack([d for _, d in shots])
-        clean = [image for image, _ in shots]
-        points, visible = sparse_points(rng, clean, depth, rig)
+        clean = [np.ascontiguousarray(image[..., :3]) for image, _ in shots]
+        mirrors = np.stack([image[..., 3] == 0 for image, _ in shots])
+        points, visible = sparse_points(rng, clean, np.where(mirrors, 0, depth), rig)
         if len(points) < MIN_POINTS or visible.sum(axis=1).min() < 20:
             return None
         images = np.stack(photograph(rng, clean))

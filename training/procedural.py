@@ -353,6 +353,15 @@ class Terrain:
         self._discs.append((centre, radius, height))
         return height
 
+    def dig(self, centre: np.ndarray, radius: float, depth: float) -> tuple[float, float]:
+        """Sink a basin at centre (2,); returns the level that water in it has, and a radius that holds all of it."""
+        outside = 1.4 * radius + 1  # where the basin's slope ends (height)
+        turns = np.linspace(0, 2 * np.pi, 64)
+        rim = self.height(centre + outside * np.column_stack([np.cos(turns), np.sin(turns)]))
+        level = float(rim.min()) - 0.1
+        self._discs.append((centre, radius, level - depth))
+        return level, outside
+
     def height(self, points: np.ndarray) -> np.ndarray:
         """(N,) ground height at points (N,2)."""
         z = self._relief * self.noise(points, self._wavelength, 3)

@@ -17,8 +17,10 @@ from training.shaders import FRAGMENTS, SKY_FRAGMENT, SKY_VERTEX, VERTEX
 
 SHADOW_SIZE = 1024
 NEAR = 0.25  # metres
+EVERYTHING = -1e6  # metres: what is lower than this is not drawn
 TEXTURE_BUDGET = 400  # textures kept on the GPU
 MESH_BUDGET = 400
+_CLIP_DISTANCE = 0x3000  # OpenGL's switch for what gl_ClipDistance[0] cuts off
 _ATTRIBUTE_SIZES = {"in_position": 3, "in_normal": 3, "in_uv": 2, "in_uv2": 2}
 
 
@@ -87,9 +89,10 @@ class Renderer:
         as much as two more pictures."""
         self.assets = assets
         self.context = moderngl.create_context(standalone=True, backend="egl")  # type: ignore[arg-type]
+        self.context.enable_direct(_CLIP_DISTANCE)
         software = "llvmpipe" in self.context.info["GL_RENDERER"]
         self._samples = samples or (1 if software else min(4, self.context.max_samples))
-        self._programs: dict[tuple[str, int, bool, bool, bool], moderngl.Program] = {}
+        self._programs: dict[tuple[str, int, bool, bool, bool, int], moderngl.Program] = {}
         self._sky = self.context.program(vertex_shader=SKY_VERTEX, fragment_shader=SKY_FRAGMENT)
         self._sky_array = self.context.vertex_array(self._sky, [])
         self._textures: OrderedDict[str, tuple[moderngl.Texture, float]] = OrderedDict()
@@ -97,6 +100,7 @@ class Renderer:
         self._temporary: list[_GpuMesh] = []
         self._targets: dict[tuple[int, int], moderngl.Framebuffer] = {}
         self._smooth_targets: dict[tuple[int, int], tuple[moderngl.Framebuffer, moderngl.Framebuffer]] = {}
+        self._mirrors: dict[tuple[int, int], tuple[moderngl.Framebuffer, moderngl.Texture]] = {}
         self._shadow_map = self.context.depth_texture((SHADOW_SIZE, SHADOW_SIZE))
         self._shadow_map.compare_func = "<="
         self._shadow_map.filter = (moderngl.LINEAR, moderngl.LINEAR)
@@ -152,7 +156,10 @@ class Renderer:
         self._draw_shadow_map()
 
     def render(self, K: np.ndarray, cam_from_world: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-        """Colour (H,W,3) uint8 and z-depth (H,W) float32 metres (0: sky) of one camera; size is (W, H)."""
+        """Colour (H,W,4) uint8 and z-depth (H,W) float32 metres (0: sky) of one camera; size is (W, H). The fourth
+        channel is 0 where the picture mirrors something: what is seen there does not lie at that depth."""
+        if self._drawn.water is not None:
+            self._draw_mirror(self._drawn.water.level, K, cam_from_world, size)
         target = self._target(size)
         if self._samples == 1:
             view_projection = self._draw_world("colour", target, K, cam_from_world, size)
@@ -164,6 +171,14 @@ class Renderer:
         self.context.copy_framebuffer(resolved, smooth)
         return self._read_colour(resolved, size), self.render_depth(K, cam_from_world, size)
 
+    def _draw_mirror(self, water: float, K: np.ndarray, cam_from_world: np.ndarray, size: tuple[int, int]) -> None:
+        """What the water shows to a camera: the world above it, upside down."""
+        upside_down = np.diag([1.0, 1.0, -1.0, 1.0])
+        upside_down[2, 3] = 2 * water
+        pose = cam_from_world @ upside_down
+        view_projection = self._draw_world("colour", self._mirror(size)[0], K, pose, size, water)
+        self._draw_sky(view_projection)
+
     def render_depth(self, K: np.ndarray, cam_from_world: np.ndarray, size: tuple[int, int]) -> np.ndarray:
         """Only the z-depth (H,W) float32: a quick look before the full pictures."""
         target = self._target(size)
@@ -171,8 +186,7 @@ class Renderer:
         return self._read_depth(target, size)
 
     def _read_colour(self, target: moderngl.Framebuffer, size: tuple[int, int]) -> np.ndarray:
-        colour = np.frombuffer(target.read(components=4), np.uint8).reshape(size[1], size[0], 4)
-        return np.ascontiguousarray(colour[..., :3])
+        return np.frombuffer(target.read(components=4), np.uint8).reshape(size[1], size[0], 4)
 
     def _read_depth(self, target: moderngl.Framebuffer, size: tuple[int, int]) -> np.ndarray:
         data = target.read(components=1, attachment=1, dtype="f4")
@@ -185,6 +199,14 @@ class Renderer:
                 depth_attachment=self.context.depth_renderbuffer(size),
             )
         return self._targets[size]
+
+    def _mirror(self, size: tuple[int, int]) -> tuple[moderngl.Framebuffer, moderngl.Texture]:
+        if size not in self._mirrors:
+            texture = self.context.texture(size, 4)
+            texture.repeat_x = texture.repeat_y = False
+            depth = self.context.depth_renderbuffer(size)
+            self._mirrors[size] = self.context.framebuffer([texture], depth), texture
+        return self._mirrors[size]
 
     def _smooth_targets_of(self, size: tuple[int, int]) -> tuple[moderngl.Framebuffer, moderngl.Framebuffer]:
         """Colour only: a target with several samples a pixel, and one to gather them in."""
@@ -202,9 +224,10 @@ class Renderer:
         colour = kind == "colour"
         mode = (1 if material.blend is not None else 2 if material.box_mapped else 0) if colour else 0
         detail = colour and self._drawn.detail.strength > 0
-        key = (kind, mode, material.alpha_cut, detail, colour and material.ao is not None)
+        mirror = ("", "water", "glass").index(material.mirror) if colour else 0
+        key = (kind, mode, material.alpha_cut, detail, colour and material.ao is not None, mirror)
         if key not in self._programs:
-            flags = zip(("MODE", "CUT", "DETAIL", "AO"), key[1:], strict=True)
+            flags = zip(("MODE", "CUT", "DETAIL", "AO", "MIRROR"), key[1:], strict=True)
             head = "#version 330\n" + "".join(f"#define {name} {int(value)}\n" for name, value in flags)
             self._programs[key] = self.context.program(head + VERTEX, fragment_shader=head + FRAGMENTS[kind])
         return self._programs[key]
@@ -221,8 +244,9 @@ class Renderer:
         K: np.ndarray,
         cam_from_world: np.ndarray,
         size: tuple[int, int],
+        lowest: float = EVERYTHING,
     ) -> np.ndarray:
-        """Clear the target and draw everything that the camera may see; returns (4,4) clip-from-world."""
+        """Clear the target and draw what the camera may see, down to `lowest`; returns (4,4) clip-from-world."""
         world = self._drawn
         target.use()
         target.clear(0, 0, 0, 0)
@@ -242,6 +266,9 @@ class Renderer:
         planes = view_projection[3] + np.concatenate([view_projection[:2], -view_projection[:2]])
         planes = planes / np.linalg.norm(planes[:, :3], axis=1, keepdims=True)
         seen = [d for d in self._draws if (planes[:, :3] @ d.centre + planes[:, 3]).min() > -d.radius]
+        mirroring = lowest != EVERYTHING
+        if mirroring:
+            seen = [d for d in seen if d.material.mirror != "water"]
         seen.sort(key=lambda d: np.linalg.norm(d.centre - eye) + 0.3 * d.radius)  # near first: less is drawn twice
         light, detail = world.light, world.detail
         shared = {
@@ -250,11 +277,16 @@ class Renderer:
             "u_eye": eye, "u_haze": light.haze, "u_exposure": light.exposure, "u_haze_colour": (0.75, 0.8, 0.88),
             "u_texture": 0, "u_texture1": 1, "u_texture2": 2, "u_ao": 3, "u_detail": 4, "u_shadow_map": 5,
             "u_detail_tile": detail.tile, "u_detail_strength": detail.strength,
+            "u_sky": 6, "u_sky_turn": light.sky_turn, "u_mirror": 7,
+            "u_waves": world.water.waves if world.water else (1.0, 0.0, 0.0), "u_lowest": lowest,
         }  # fmt: skip
         if kind == "colour":
             texture, shared["u_detail_mean"] = self._texture(detail.texture)
             texture.use(4)
             self._shadow_map.use(5)
+            self._texture(light.sky)[0].use(6)
+            if world.water is not None and not mirroring:
+                self._mirror(size)[1].use(7)
         self._draw_all(kind, seen, shared)
         return view_projection
 
@@ -307,7 +339,8 @@ class Renderer:
         self.context.depth_func = "<="
         self.context.polygon_offset = (1.5, 4.0)
         matrix = self._shadow_matrix()
-        self._draw_all("depth", self._draws, {"u_view_projection": matrix, "u_depth_row": matrix[2], "u_texture": 0})
+        self._draw_all("depth", self._draws, {"u_view_projection": matrix, "u_depth_row": matrix[2], "u_texture": 0,
+                                               "u_lowest": EVERYTHING})
         self.context.polygon_offset = (0.0, 0.0)
 
     def _texture(self, name: str) -> tuple[moderngl.Texture, float]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from training.assets import Assets, Material, Mesh, subdivide, vertex_normals
 from training.facades import facade as open_facade
+from training.facades import panes
 from training.procedural import Noise, Terrain, house, tulou
 
 FLOATING_ABOVE = 1.5  # a model whose lowest point is higher than this (metres) is a part without its base
@@ -64,6 +65,15 @@ class Detail:
 
 
 @dataclass(frozen=True)
+class Water:
+    """A pond's level in metres, and its waves: their length in metres, their slope, and how far, in shares of the
+    picture, a slope of 1 moves what is mirrored."""
+
+    level: float
+    waves: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
 class World:
     instances: tuple[Instance, ...]
     terrain: Terrain
@@ -72,6 +82,7 @@ class World:
     light: Light
     detail: Detail
     solids: tuple[tuple[np.ndarray, np.ndarray, np.ndarray], ...]  # (4,4) world from box, lowest and highest corner
+    water: Water | None = None
 
     def inside(self, points: np.ndarray) -> bool:
         """Whether any of the points (N,3) lies in the box of a closed building."""
@@ -198,9 +209,11 @@ def _building(assets: Assets, rng: np.random.Generator, held_out: bool) -> _Buil
     return _Building(model, f"{name}#{variant}", scale, radius, float(high[2] * scale[2]), override, (low, high))
 
 
-def _facade(assets: Assets, rng: np.random.Generator) -> _Building:
-    """A wall with openings that one sees through."""
-    meshes, half, height = open_facade(rng, wall_material(assets, rng), wall_material(assets, rng), Noise(rng))
+def _facade(assets: Assets, rng: np.random.Generator, glazier: np.random.Generator | None) -> _Building:
+    """A wall with openings that one sees through; with a `glazier` a third have glass in them."""
+    meshes, half, height, holes = open_facade(rng, wall_material(assets, rng), wall_material(assets, rng), Noise(rng))
+    if glazier is not None and glazier.random() < 0.35:
+        meshes += panes(glazier, half, holes, Material("plaster:0", tiles=(5.0,) * 3, mirror="glass"))
     return _Building(tuple(meshes), None, np.ones(3), half, height, None, None)
 
 
@@ -222,6 +235,32 @@ def _thin_trees(
         place = _placement(np.append(centre, z), rng.uniform(0, 2 * np.pi), scale)
         found.append(Instance(meshes, place, f"{name}#{id(meshes)}", _tint(rng)))
     return found
+
+
+def _pond(
+    assets: Assets, rng: np.random.Generator, terrain: Terrain, beside: Subject, discs: list[tuple[np.ndarray, float]]
+) -> tuple[Instance, Water] | None:
+    """A pond beside a building; it joins the `discs` that others stand on, or is None where those leave no room."""
+    radius = float(rng.uniform(4, 12))
+    turn, away = rng.uniform(0, 2 * np.pi), beside.radius + 1.3 * radius
+    centre = beside.centre[:2] + away * np.array([np.cos(turn), np.sin(turn)])
+    if any(np.linalg.norm(centre - c) < r + radius for c, r in discs):
+        return None
+    discs.append((centre, radius))
+    level, outside = terrain.dig(centre, radius, float(rng.uniform(0.3, 1.0)))
+    turns = np.linspace(0, 2 * np.pi, 48, endpoint=False)
+    rim = outside * np.column_stack([np.cos(turns), np.sin(turns), 0 * turns])
+    positions = np.vstack([[0, 0, 0], rim]).astype(np.float32)
+    number = np.arange(48)
+    faces = np.column_stack([0 * number, 1 + number, 1 + (number + 1) % 48]).astype(np.int32)
+    name, tile = ground_texture(assets, rng)
+    upward, plan = np.tile(np.array([0, 0, 1], np.float32), (49, 1)), positions[:, :2]
+    surface = Mesh(positions, upward, plan, plan, faces, Material(name, tiles=(tile,) * 3, mirror="water"))
+    red, green, blue = rng.uniform(0.02, 0.2) * rng.uniform([0.7, 0.9, 0.5], [1.0, 1.0, 0.9])
+    place = _placement(np.append(centre, level), 0.0, np.ones(3))
+    waves = float(rng.uniform(0.3, 3)), float(rng.choice([0.0, 0.01, 0.03, 0.08])), float(rng.uniform(0.1, 0.3))
+    return Instance((surface,), place, None, (float(red), float(green), float(blue)), 0.0, None,
+                    float(rng.uniform(0.0, 0.6))), Water(level, waves)
 
 
 def _tint(rng: np.random.Generator) -> tuple[float, float, float]:
@@ -284,6 +323,8 @@ def _light(assets: Assets, rng: np.random.Generator) -> Light:
 
 def compose(assets: Assets, rng: np.random.Generator, held_out: bool, facade: bool = False) -> World:
     """A scene from a random generator; its subject is a building, or a `facade` with openings."""
+    # For what held-out scenes do not have: they stay those that earlier figures were measured on.
+    painter, digger, glazier = rng.spawn(3)
     horizon = rng.random() < 0.35
     radius = float(rng.uniform(55, 85))
     terrain = Terrain(rng, radius, float(rng.uniform(400, 2500)) if horizon else 2.5 * radius)
@@ -294,7 +335,8 @@ def compose(assets: Assets, rng: np.random.Generator, held_out: bool, facade: bo
     gap = rng.uniform(0.65, 1.1)
     for _ in range(int(rng.choice([1, 1, 2, 3, 4, 5, 6, 8]))):
         open_wall = facade and not placed
-        building = _facade(assets, rng) if open_wall else _building(assets, rng, held_out)
+        building = (_facade(assets, rng, None if held_out else glazier) if open_wall
+                    else _building(assets, rng, held_out))
         centre = layout.find(building.radius, 22.0, gap)
         if centre is None:
             continue
@@ -311,6 +353,9 @@ def compose(assets: Assets, rng: np.random.Generator, held_out: bool, facade: bo
     reach = max(float(np.linalg.norm(s.centre[:2] - centre[:2])) + s.radius for s in placed)
     site = Subject(centre, reach, max(s.height for s in placed))
     spread = site.radius + 8
+    pond = None
+    if not held_out and digger.random() < 0.3:
+        pond = _pond(assets, digger, terrain, placed[0], layout.discs)
     for kind, most in (("rock", 14), ("tree", 26), ("prop", 10)):
         count = int(rng.integers(0, most + 1) * (rng.random() < 0.75))
         instances += _scatter(assets, rng, terrain, layout, kind, count, spread)
@@ -321,12 +366,13 @@ def compose(assets: Assets, rng: np.random.Generator, held_out: bool, facade: bo
     material = Material(
         textures[0][0], blend=(textures[1][0], textures[2][0]), tiles=(textures[0][1], textures[1][1], textures[2][1])
     )
+    instances += [] if pond is None else [pond[0]]
     instances.append(Instance((terrain.mesh(material),), np.eye(4), None, _tint(rng)))
     fine = [n for n in assets.names("texture") if "uav_" not in n]
     detail = Detail(str(rng.choice(fine)), float(rng.uniform(1.2, 4)), float(rng.choice([0, 0.3, 0.6, 0.9])))
-    world = World(tuple(instances), terrain, placed[0], site, _light(assets, rng), detail, tuple(solids))
-    # Validation scenes stay those that earlier figures were measured on; a generator of its own leaves the rest be.
-    return world if held_out else _plainer(world, len(placed), rng.spawn(1)[0])
+    world = World(tuple(instances), terrain, placed[0], site, _light(assets, rng), detail, tuple(solids),
+                  None if pond is None else pond[1])
+    return world if held_out else _plainer(world, len(placed), painter)
 
 
 def _plainer(world: World, buildings: int, rng: np.random.Generator) -> World:

@@ -5,7 +5,7 @@
 # Every shader is compiled in variants (#define) because the software renderer runs both sides of a branch.
 VERTEX = """
 uniform mat4 u_model; uniform mat3 u_normal; uniform mat4 u_view_projection; uniform vec4 u_depth_row;
-uniform mat4 u_shadow;
+uniform mat4 u_shadow; uniform float u_lowest;
 in vec3 in_position; in vec3 in_normal; in vec2 in_uv; in vec2 in_uv2;
 out vec3 v_world; out vec3 v_normal; out vec2 v_uv; out vec2 v_uv2; out float v_depth; out vec3 v_shadow;
 void main() {
@@ -16,16 +16,24 @@ void main() {
     v_depth = dot(u_depth_row, world);
     v_shadow = (u_shadow * world).xyz * 0.5 + 0.5;
     gl_Position = u_view_projection * world;
+    gl_ClipDistance[0] = world.z - u_lowest;
 }
 """
 
-_COLOUR_FRAGMENT = """
+_SKY_UV = """
+vec2 sky_uv(vec3 d, float turn) {    // where a direction is on a panorama
+    return vec2((atan(d.y, d.x) + turn) / 6.2831853, acos(clamp(d.z, -1.0, 1.0)) / 3.1415927);
+}
+"""
+
+_COLOUR_FRAGMENT = _SKY_UV + """
 uniform sampler2D u_texture; uniform sampler2D u_texture1; uniform sampler2D u_texture2;
 uniform sampler2D u_ao; uniform sampler2D u_detail; uniform sampler2DShadow u_shadow_map;
 uniform vec3 u_tiles; uniform vec3 u_tint; uniform float u_gloss; uniform float u_contrast;
 uniform float u_detail_tile; uniform float u_detail_strength; uniform float u_detail_mean;
 uniform vec3 u_sun; uniform vec3 u_sun_colour; uniform vec3 u_ambient[9];
 uniform vec3 u_eye; uniform float u_haze; uniform float u_exposure; uniform vec3 u_haze_colour;
+uniform sampler2D u_mirror; uniform sampler2D u_sky; uniform float u_sky_turn; uniform vec3 u_waves;
 in vec3 v_world; in vec3 v_normal; in vec2 v_uv; in vec2 v_uv2; in float v_depth; in vec3 v_shadow;
 layout(location = 0) out vec4 o_colour; layout(location = 1) out float o_depth;
 
@@ -65,6 +73,9 @@ void main() {
     if (texel.a < 0.5) discard;
 #endif
     vec3 albedo = texel.rgb * texel.rgb * u_tint;
+#if MIRROR == 2
+    albedo *= 0.1;    // the room behind the glass
+#endif
 #if DETAIL
     float fine = dot(box_mapped(u_detail, normal, u_detail_tile).rgb, vec3(0.333));
     albedo *= max(1.0 + u_detail_strength * u_contrast * (fine / u_detail_mean - 1.0), 0.2);
@@ -83,7 +94,21 @@ void main() {
     float glint = u_gloss * lit * pow(max(dot(normal, normalize(u_sun + to_eye)), 0.0), 24.0);
     vec3 colour = (albedo * light + u_sun_colour * glint) * u_exposure;
     colour = mix(u_haze_colour, colour, exp(-u_haze * v_depth));
-    o_colour = vec4(sqrt(colour / (1.0 + 0.25 * colour)), 1.0);
+    colour = sqrt(colour / (1.0 + 0.25 * colour));
+#if MIRROR == 1    // u_waves: their wavelength in metres, their slope, and how far a slope moves what is mirrored
+    vec2 p = v_world.xy * 6.2831853 / u_waves.x;
+    vec2 slope = u_waves.y * (sin(p.yx * 0.9 + 2.0 * sin(p * 0.37)) + 0.6 * sin(p * 2.3 + p.yx * 1.1));
+    float share = 0.04 + 0.96 * pow(1.0 - abs(dot(normalize(vec3(slope, 1.0)), to_eye)), 5.0);
+    vec2 at = gl_FragCoord.xy / vec2(textureSize(u_mirror, 0)) + u_waves.z * slope;
+    vec3 mirrored = textureLod(u_mirror, at, 0.0).rgb;
+#elif MIRROR == 2
+    float share = 0.1 + 0.9 * pow(1.0 - abs(dot(normal, to_eye)), 5.0);
+    vec3 mirrored = textureLod(u_sky, sky_uv(reflect(-to_eye, normal), u_sky_turn), 0.0).rgb;
+#endif
+#if MIRROR
+    colour = sqrt(mix(colour * colour, mirrored * mirrored, share));
+#endif
+    o_colour = vec4(colour, MIRROR == 0 ? 1.0 : 0.0);    // features on a mirror are none of its surface
     o_depth = v_depth;
 }
 """
@@ -110,15 +135,13 @@ void main() {
 }
 """
 
-SKY_FRAGMENT = """
-#version 330
+SKY_FRAGMENT = "#version 330" + _SKY_UV + """
 uniform sampler2D u_texture; uniform mat3 u_world_from_ndc; uniform float u_turn;
 in vec2 v_ndc;
 layout(location = 0) out vec4 o_colour; layout(location = 1) out float o_depth;
 void main() {
     vec3 d = normalize(u_world_from_ndc * vec3(v_ndc, 1.0));
-    vec2 uv = vec2((atan(d.y, d.x) + u_turn) / 6.2831853, acos(clamp(d.z, -1.0, 1.0)) / 3.1415927);
-    o_colour = vec4(textureLod(u_texture, uv, 0.0).rgb, 1.0);
+    o_colour = vec4(textureLod(u_texture, sky_uv(d, u_turn), 0.0).rgb, 1.0);
     o_depth = 0.0;
 }
 """
