@@ -15,7 +15,20 @@ from starlette.routing import Route
 
 from . import people, words
 from .problems import Problem
-from .requests import Meter, body, check_origin, client, cookie_name, handled, parts, person, rate, record, value
+from .requests import (
+    Meter,
+    body,
+    check_origin,
+    client,
+    cookie_name,
+    handled,
+    language,
+    parts,
+    person,
+    rate,
+    record,
+    value,
+)
 
 _QUARTER = 900  # seconds
 _searches = Meter(300, 300)
@@ -219,7 +232,7 @@ async def remove(request: Request) -> Response:
 
 async def held(request: Request) -> Response:
     (await person(request)).require(people.MODERATOR)
-    return JSONResponse({"held": await run_in_threadpool(parts(request).sites.held)})
+    return JSONResponse({"held": await run_in_threadpool(parts(request).sites.held, language(request))})
 
 
 async def accept(request: Request) -> Response:

@@ -10,13 +10,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any
 
+from curecon_blender.core.base.language import Text
 from curecon_blender.core.base.options import EXACT
 from curecon_blender.core.base.reading import Within, build
 from curecon_blender.core.publish import film
 
 from . import pictures, records, tiles
 from .configuration import Limits
-from .problems import Problem, refused
+from .problems import Problem, refused, why
 
 _MOST_RECORD = 1 << 20
 _MOST_FILM = 64 << 20
@@ -42,26 +43,27 @@ class File:
 def manifest(value: Any, limits: Limits) -> tuple[File, ...]:
     """The files that somebody wants to send, in the order of their paths. Raises Problem."""
     if not isinstance(value, list) or len(value) > limits.files:
-        raise Problem(413, "too_large", f"An upload has {limits.files} files at most.")
+        raise Problem(413, "too_large", Text("An upload has {} files at most.", limits.files))
     try:
         found: tuple[File, ...] = build(tuple[File, ...], value)
     except (ValueError, RecursionError) as error:
-        raise refused(f"The list of files: {error}.") from error
+        raise refused(Text("The list of files: {}.", why(error))) from error
     for file in found:
         most = next((most for kind, most in _KINDS if kind.fullmatch(file.path)), None)
         if most is None:
-            raise refused(f"{file.path[:80]!r} is no file of a published site.")
+            raise refused(Text("{} is no file of a published site.", repr(file.path[:80])))
         if file.size > most:
-            raise Problem(413, "too_large", f"{file.path} has {file.size} bytes; {most} are the most.")
+            raise Problem(413, "too_large", Text("{} has {:.1f} MB; {:.1f} are the most.", file.path, file.size / 1e6,
+                                                 most / 1e6))
         if not _SHA256.fullmatch(file.sha256):
-            raise refused(f"{file.path}: its SHA-256 is none.")
+            raise refused(Text("{}: its SHA-256 is none.", file.path))
     paths = [file.path for file in found]
     if len(set(paths)) != len(paths):
         raise refused("The list names a file twice.")
     if not {"site.json", "thumbnail.jpg"} <= set(paths):
         raise refused("site.json or thumbnail.jpg is missing: choose the folder that Publish Web Pages wrote.")
     if sum(file.size for file in found) > limits.upload:
-        raise Problem(413, "too_large", f"An upload has {limits.upload >> 20} MiB at most.")
+        raise Problem(413, "too_large", Text("An upload has {:.1f} MB at most.", limits.upload / 1e6))
     return tuple(sorted(found, key=lambda file: file.path))
 
 
@@ -78,10 +80,10 @@ def check(files: tuple[File, ...], get: Callable[[File], bytes]) -> tuple[record
             continue
         expected |= own
         if f"{kind}/tileset.json" not in own:
-            raise refused(f"{kind}/tileset.json is missing.")
+            raise refused(Text("{} is missing.", f"{kind}/tileset.json"))
         if f"{kind}/earth.json" in own:
             if not exact:
-                raise refused(f"{kind}/earth.json tells the place, which this site does not show.")
+                raise refused(Text("{} tells the place, which this site does not show.", f"{kind}/earth.json"))
             tiles.earth(get(by_path[f"{kind}/earth.json"]))
         names = {path.removeprefix(f"{kind}/") for path in own if path.endswith(".glb")}
         tiles.tileset(get(by_path[f"{kind}/tileset.json"]), names)
@@ -89,14 +91,15 @@ def check(files: tuple[File, ...], get: Callable[[File], bytes]) -> tuple[record
             tiles.tile(f"{kind}/{name}", get(by_path[f"{kind}/{name}"]), site.said.copyright)
     if expected != set(by_path):
         wrong = min(expected ^ set(by_path))
-        raise refused(f"{wrong} is {'missing' if wrong in expected else 'a file that the site does not name'}.")
+        raise refused(Text("{} is missing.", wrong) if wrong in expected else
+                      Text("{} is a file that the site does not name.", wrong))
     if site.film:
         _check_film(get(by_path[site.film]))
     for path in ("thumbnail.jpg", *site.pictures):
         try:
             pictures.jpeg(get(by_path[path]), metadata=exact)
         except (ValueError, struct.error) as error:
-            raise refused(f"{path}: {error}.") from error
+            raise refused(Text("{}: {}.", path, why(error))) from error
     return site, doubts
 
 
@@ -106,4 +109,4 @@ def _check_film(content: bytes) -> None:
         if film.without_metadata(content) != content:
             raise ValueError("it carries more than its pictures, which may tell the place")
     except (ValueError, RecursionError) as error:
-        raise refused(f"{records.FILM}: {error}.") from error
+        raise refused(Text("{}: {}.", records.FILM, why(error))) from error

@@ -12,6 +12,8 @@ import threading
 from dataclasses import dataclass
 from typing import Any
 
+from curecon_blender.core.base.language import Text
+
 from .database import Database, Transaction, identity, now
 from .problems import Problem
 
@@ -83,7 +85,7 @@ def rate(database: Database, what: str, most: int, seconds: int) -> None:
 def invite(transaction: Transaction, role: str, by: str) -> str:
     """A new invitation's token."""
     if role not in ROLES:
-        raise Problem(400, "role", f"A role is one of {', '.join(ROLES)}.")
+        raise Problem(400, "role", Text("A role is one of {}.", ", ".join(ROLES)))
     token = secrets.token_urlsafe(24)
     transaction.run("INSERT INTO invitation VALUES (:digest, :role, :by, :made, :ends, NULL)", digest=digest(token),
                     role=role, by=by, made=now(), ends=now() + _INVITATION_SECONDS)
@@ -97,7 +99,7 @@ def join(database: Database, token: str, name: str, password: str) -> str:
     if not _NAME.fullmatch(name):
         raise Problem(400, "name", "A name has 2 to 60 letters, figures, spaces, dots, @ or hyphens.")
     if not _SHORTEST <= len(password) <= _LONGEST:
-        raise Problem(400, "password", f"A password has {_SHORTEST} to {_LONGEST} letters.")
+        raise Problem(400, "password", Text("A password has {} to {} letters.", _SHORTEST, _LONGEST))
     kept, account = hashed(password, secrets.token_bytes(16)), identity()
     with database.write() as transaction:
         row = transaction.one("SELECT role, ends, used_by FROM invitation WHERE digest = :digest", digest=digest(token))
@@ -168,7 +170,7 @@ def revoke(transaction: Transaction, account: str, start: str) -> None:
 def change_password(database: Database, person: Person, old: str, new: str) -> None:
     """Ends every session and token of the account."""
     if not _SHORTEST <= len(new) <= _LONGEST:
-        raise Problem(400, "password", f"A password has {_SHORTEST} to {_LONGEST} letters.")
+        raise Problem(400, "password", Text("A password has {} to {} letters.", _SHORTEST, _LONGEST))
     with database.read() as transaction:
         kept = transaction.value("SELECT password FROM account WHERE id = :id", id=person.id)
     if not _fits(old, kept):

@@ -11,6 +11,8 @@ import threading
 
 from PIL import Image
 
+from curecon_blender.core.base.language import Text
+
 MOST_PICTURE = 8 << 20  # bytes
 _SIDE, _PIXELS = 8192, 1 << 24
 _SMALL, _MOST_PACKED = 1 << 20, 250  # pixels; of larger JPEG, pixels a byte
@@ -18,7 +20,8 @@ _SMALL, _MOST_PACKED = 1 << 20, 250  # pixels; of larger JPEG, pixels a byte
 # IPTC are APP1 and APP13, comments COM.
 _FRAMES = {0xC0, 0xC1, 0xC2}
 _PLAIN = {0xC4, 0xDA, 0xDB, 0xDD, 0xE0, 0xEE}  # tables, scan, JFIF, Adobe's colour transform
-_METADATA = {0xE1: "EXIF or XMP", 0xE2: "a colour profile or others' data", 0xED: "IPTC", 0xFE: "a comment"}
+_METADATA = {0xE1: "EXIF or XMP", 0xE2: Text("a colour profile or others' data"), 0xED: "IPTC", 0xFE: Text("a comment")}
+_OTHERS = Text("others' data")
 _SCANS = 200
 _WEBP = {b"VP8 ", b"VP8L", b"VP8X", b"ALPH"}
 _at_once = threading.Semaphore(2)
@@ -43,7 +46,7 @@ def jpeg(content: bytes, *, metadata: bool) -> None:
             size = width, height
         elif marker in _METADATA or marker >= 0xE0:
             if not (metadata or marker in _PLAIN):
-                raise ValueError(f"it carries {_METADATA.get(marker, 'others data')}, which may tell the place")
+                raise ValueError(Text("it carries {}, which may tell the place", _METADATA.get(marker, _OTHERS)))
         elif marker not in _PLAIN:
             raise ValueError("a kind of JPEG that browsers do not show")
         position += length
@@ -104,9 +107,9 @@ def _unpacked(content: bytes, size: tuple[int, int] | None, kind: str) -> None:
         with _at_once, Image.open(io.BytesIO(content), formats=[kind]) as image:  # reads the header alone
             width, height = image.size
             if not (0 < width <= _SIDE and 0 < height <= _SIDE and width * height <= _PIXELS):
-                raise ValueError(f"it has {width} x {height} pixels; {_SIDE} a side are the most")
+                raise ValueError(Text("it has {} x {} pixels; {} a side are the most", width, height, _SIDE))
             if (size and size != image.size) or getattr(image, "n_frames", 1) != 1:
                 raise ValueError("it is not the picture that its header tells of")
             image.load()
     except (OSError, SyntaxError, Image.DecompressionBombError) as error:
-        raise ValueError(f"it cannot be opened ({error})") from error
+        raise ValueError("it cannot be opened") from error

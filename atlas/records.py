@@ -11,13 +11,14 @@ from dataclasses import asdict, dataclass, field, replace
 from datetime import date
 from typing import Annotated, Any
 
+from curecon_blender.core.base.language import Text
 from curecon_blender.core.base.options import CELL, EXACT, HIDDEN, LOCATIONS
 from curecon_blender.core.base.reading import OneOf, Within, build, parse_json
 from curecon_blender.core.base.records import Frame, GeoPosition
 from curecon_blender.core.publish import privacy
 from curecon_blender.core.publish.records import About
 
-from .problems import refused
+from .problems import refused, why
 
 FILM = "film.mp4"
 NEAR = 20_000.0  # site units about the middle: no coordinates of a country's grid or of the Earth are so small
@@ -34,13 +35,13 @@ class _Words:
 
     def check(self, value: str) -> None:
         if len(value) > self._most:
-            raise ValueError(f"{len(value)} letters; {self._most} are the most")
+            raise ValueError(Text("{} letters; {} are the most", len(value), self._most))
         for letter in value:
             kind = unicodedata.category(letter)
             if kind == "Cc" and letter not in "\n\r\t":
-                raise ValueError(f"the control character U+{ord(letter):04X}")
+                raise ValueError(Text("the control character {}", f"U+{ord(letter):04X}"))
             if kind in ("Cf", "Co", "Cs", "Zl", "Zp") and letter not in _KEPT_INVISIBLE:
-                raise ValueError(f"the invisible letter U+{ord(letter):04X}")
+                raise ValueError(Text("the invisible letter {}", f"U+{ord(letter):04X}"))
 
 
 class _Day:
@@ -167,7 +168,7 @@ def site(content: bytes) -> tuple[Site, list[str]]:
         found: Site = build(Site, parse_json(content.decode()))
         _check(found)
     except (ValueError, RecursionError) as error:
-        raise refused(f"site.json: {error}. Publish the site again, then upload it.") from error
+        raise refused(Text("site.json: {}. Publish the site again, then upload it.", why(error))) from error
     return found, doubts(found)
 
 
@@ -181,7 +182,7 @@ def _check(found: Site) -> None:
     for name in ("surface", "cloud"):
         part = getattr(found, name)
         if part and part.tileset != f"{name}/tileset.json":
-            raise ValueError(f"{name} names another's tiles")
+            raise ValueError(Text("{} names another's tiles", name))
     if found.pictures != tuple(f"pictures/{number}.jpg" for number in range(1, len(found.pictures) + 1)):
         raise ValueError("the pictures' names are none that publishing gives")
     _check_place(found.location, found.geometry)
@@ -233,7 +234,7 @@ def added(value: Any) -> Added:
                 (found.period_from is not None and found.period_to is not None and found.period_from > found.period_to):
             raise ValueError("a period has a first and a last year, in this order")
     except (ValueError, RecursionError) as error:
-        raise refused(f"What was added to the site: {error}.") from error
+        raise refused(Text("What was added to the site: {}.", why(error))) from error
     return replace(found, tags=tuple(map(_one_line, found.tags)), register=_one_line(found.register))
 
 
@@ -245,6 +246,6 @@ def doubts(found: Site) -> list[str]:
     """What a moderator is to look at, as nothing here can decide it."""
     if found.location == EXACT:
         return []
-    said = {"title": found.title, "text": found.text, "place": found.place, "credit": found.credit}
-    said |= {f"note {number}": f"{note.title} {note.text}" for number, note in enumerate(found.notes, 1)}
-    return [f"coordinates in {name}?" for name, text in said.items() if _DEGREES.search(text)]
+    said = {Text(name): getattr(found, name) for name in ("title", "text", "place", "credit")}
+    said |= {Text("note {}", number): f"{note.title} {note.text}" for number, note in enumerate(found.notes, 1)}
+    return [Text("coordinates in {}?", name) for name, text in said.items() if _DEGREES.search(text)]

@@ -20,6 +20,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 
+from curecon_blender.core.base.language import Language, Text
 from curecon_blender.core.base.reading import build, parse_json
 
 from . import people
@@ -27,7 +28,7 @@ from .configuration import Configuration
 from .database import Database
 from .operation import Figures
 from .people import Person
-from .problems import Problem
+from .problems import Problem, language_of
 from .publisher import Publisher
 from .sites import Sites
 from .store import Store
@@ -61,9 +62,17 @@ def cookie_name(configuration: Configuration) -> str:
     return "__Host-atlas" if configuration.secure else "atlas"
 
 
-def told(problem: Problem) -> JSONResponse:
-    headers = {"Retry-After": str(problem.facts["wait"])} if "wait" in problem.facts else {}
-    return JSONResponse({"code": problem.code, "said": problem.said, **problem.facts}, problem.status, headers)
+def language(request: Request) -> Language:
+    return language_of(request.headers.get("accept-language", ""))
+
+
+async def told(request: Request, problem: Problem) -> JSONResponse:
+    wanted = language(request)
+    said = await run_in_threadpool(wanted.translated, problem.said)
+    headers = {"Content-Language": wanted.tag}
+    if "wait" in problem.facts:
+        headers["Retry-After"] = str(problem.facts["wait"])
+    return JSONResponse({"code": problem.code, "said": said, **problem.facts}, problem.status, headers)
 
 
 def handled(work: Callable[[Request], Awaitable[Response]]) -> Callable[[Request], Awaitable[Response]]:
@@ -72,19 +81,20 @@ def handled(work: Callable[[Request], Awaitable[Response]]) -> Callable[[Request
         try:
             return await work(request)
         except Problem as problem:
-            return told(problem)
+            return await told(request, problem)
         except ClientDisconnect:
             return Response(status_code=400)
         except (DBAPIError, PoolTimeout) as error:
             _log.error("the database does not answer", exc_info=error)
-            return told(Problem(503, "database", "The atlas cannot reach its records. Nothing is lost: try "
-                                                 "again.", wait=5))
+            return await told(request, Problem(
+                503, "database", "The atlas cannot reach its records. Nothing is lost: try again.", wait=5))
         except OSError as error:
             _log.error("the store does not answer", exc_info=error)
             if error.errno in _FULL:
-                return told(Problem(507, "disk", "The atlas has no room left. Nothing is lost: try again "
-                                                 "later.", wait=60))
-            return told(Problem(503, "store", "The atlas cannot reach its files. Nothing is lost: try again.", wait=5))
+                return await told(request, Problem(
+                    507, "disk", "The atlas has no room left. Nothing is lost: try again later.", wait=60))
+            return await told(request, Problem(
+                503, "store", "The atlas cannot reach its files. Nothing is lost: try again.", wait=5))
 
     endpoint.__name__ = work.__name__
     return endpoint
@@ -94,14 +104,14 @@ async def body(request: Request, most: int) -> bytes:
     """Raises Problem before more than `most` bytes are kept."""
     length = request.headers.get("content-length", "")
     if length.isdigit() and int(length) > most:
-        raise Problem(413, "too_large", f"{length} bytes; {most} are the most.")
+        raise Problem(413, "too_large", Text("{} bytes; {} are the most.", length, most))
     content = bytearray()
     try:
         async with asyncio.timeout(_PATIENCE):
             async for part in request.stream():
                 content += part
                 if len(content) > most:
-                    raise Problem(413, "too_large", f"More than {most} bytes.")
+                    raise Problem(413, "too_large", Text("{} bytes; {} are the most.", len(content), most))
     except TimeoutError as error:
         raise Problem(408, "slow", "The request took too long. Send it again.") from error
     if length.isdigit() and len(content) != int(length):
@@ -117,7 +127,7 @@ async def value(request: Request) -> Any:
     try:
         return await run_in_threadpool(lambda: parse_json(content.decode()))
     except ValueError as error:
-        raise Problem(400, "json", f"That is no JSON: {error}.") from error
+        raise Problem(400, "json", "That is no JSON.") from error
 
 
 async def record(request: Request, kind: Any) -> Any:
@@ -126,7 +136,7 @@ async def record(request: Request, kind: Any) -> Any:
     try:
         return build(kind, given)
     except (ValueError, RecursionError) as error:
-        raise Problem(400, "request", f"{error}.") from error
+        raise Problem(400, "request", Text("That request is none: {}.", str(error))) from error
 
 
 async def person(request: Request, *, uploads: bool = False) -> Person:

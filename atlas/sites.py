@@ -10,6 +10,7 @@ from typing import Any
 
 from sqlalchemy import Row
 
+from curecon_blender.core.base.language import Language, Text
 from curecon_blender.core.base.reading import build
 from curecon_blender.core.publish import folder as published
 from curecon_blender.core.publish.privacy import Shown
@@ -30,11 +31,12 @@ class Sites:
 
     # ---- moderators
 
-    def held(self) -> list[dict[str, Any]]:
+    def held(self, language: Language) -> list[dict[str, Any]]:
         with self._database.read() as transaction:
-            return [_told(row) for row in transaction.all(
+            found = [_told(row) for row in transaction.all(
                 "SELECT version.*, account.name AS by_name FROM version JOIN account ON account.id = version.account "
                 f"WHERE version.state = 'held' ORDER BY version.made LIMIT {_LISTED}")]
+        return [{**one, "doubts": [*map(language.translated, one["doubts"])]} for one in found]
 
     def accept(self, person: Person, version: str) -> str:
         """Make a held version its site's newest; the site's name. Raises Problem."""
@@ -75,8 +77,8 @@ class Sites:
         if row is None:
             raise Problem(404, "unknown", "There is no such version.")
         if not changed:
-            raise Problem(409, "decided", f"This version was {row.state} already, by "
-                                          f"{row.by_name or 'its contributor'}.")
+            raise Problem(409, "decided", Text("This version was {} already, by {}.", Text(row.state),
+                                               row.by_name or Text("its contributor")))
         note(transaction, person.id, state, version, f"{row.site} {why}".strip())
         return row
 

@@ -17,11 +17,12 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from curecon_blender.core.base.language import Text
 from curecon_blender.core.base.reading import OneOf, Within, build, parse_json
 from curecon_blender.core.publish.glb import MATERIALS
 
 from . import pictures
-from .problems import refused
+from .problems import refused, why
 from .records import NEAR
 
 MOST_TILE = 16 << 20  # bytes
@@ -76,9 +77,9 @@ def tileset(content: bytes, tiles: set[str]) -> None:
         named: list[str] = []
         _visit(found.root, named, 0)
     except (ValueError, RecursionError) as error:
-        raise refused(f"tileset.json: {error}") from error
+        raise refused(Text("{}: {}.", "tileset.json", why(error))) from error
     if len(named) != len(set(named)) or set(named) != tiles:
-        raise refused("tileset.json: it does not name each tile once")
+        raise refused(Text("{}: {}.", "tileset.json", Text("it does not name each tile once")))
 
 
 def _visit(entry: _Entry, named: list[str], depth: int) -> None:
@@ -89,7 +90,7 @@ def _visit(entry: _Entry, named: list[str], depth: int) -> None:
     _check_box(entry.boundingVolume)
     if entry.content:
         if not _TILE.fullmatch(entry.content.uri):
-            raise ValueError(f"{entry.content.uri[:60]!r} is no tile's name")
+            raise ValueError(Text("{} is no tile's name", repr(entry.content.uri[:60])))
         named.append(entry.content.uri)
     for child in entry.children:
         _visit(child, named, depth + 1)
@@ -117,7 +118,7 @@ def earth(content: bytes) -> None:
                 not 6.3e6 < np.linalg.norm(turned[:3, 3]) < 6.5e6:
             raise ValueError("its transform is no place on Earth")
     except (ValueError, RecursionError) as error:
-        raise refused(f"earth.json: {error}") from error
+        raise refused(Text("{}: {}.", "earth.json", why(error))) from error
 
 
 # ---- tiles
@@ -231,7 +232,7 @@ def tile(name: str, content: bytes, copyright: str) -> None:
     try:
         _Glb(content).check(copyright)
     except (ValueError, RecursionError, struct.error) as error:
-        raise refused(f"{name}: {error}") from error
+        raise refused(Text("{}: {}.", name, why(error))) from error
 
 
 @dataclass
@@ -245,7 +246,7 @@ class _Glb:
         for kind, most in (("scenes", 1), ("nodes", 1), ("meshes", 1), ("buffers", 1), ("images", 1), ("samplers", 1),
                            ("textures", 1), ("materials", len(MATERIALS)), ("accessors", 20), ("bufferViews", 20)):
             if len(getattr(gltf, kind)) > most:
-                raise ValueError(f"more {kind} than publishing writes")
+                raise ValueError(Text("more {} than publishing writes", kind))
         if (
             not gltf.nodes
             or not gltf.meshes
@@ -325,7 +326,7 @@ class _Glb:
         for name, number in primitive.attributes.items():
             accessor, view, rows = self._rows(number)
             if accessor.type != kinds[name]:
-                raise ValueError(f"{name} of another kind")
+                raise ValueError(Text("{} of another kind", name))
             if name == "POSITION":
                 self._check_places(rows)
             views.add(view)

@@ -16,6 +16,8 @@ from typing import Any
 
 from sqlalchemy import Row
 
+from curecon_blender.core.base.language import Text
+
 from . import checks, records, sealing
 from .checks import File
 from .configuration import Limits
@@ -103,7 +105,7 @@ class Uploads:
         """Take a chunk of the upload's file `number` that begins at byte `start`; where the next one begins. Raises
         Problem: 409 where another one is due, which it tells."""
         if not content or len(content) > self._limits.chunk:
-            raise Problem(413, "too_large", f"A chunk has 1 to {self._limits.chunk} bytes.")
+            raise Problem(413, "too_large", Text("A chunk has 1 to {} bytes.", self._limits.chunk))
         with self._database.read() as transaction:
             self._due(transaction, person, upload, number, start, len(content), lock="")
         name = f"{INCOMING}/{upload}/{number}/{start}-{secrets.token_hex(6)}"
@@ -132,7 +134,7 @@ class Uploads:
             raise Problem(404, "unknown", "There is no such file in this upload.")
         if start != file.received:
             raise Problem(
-                409, "offset", f"The next chunk of this file begins at {file.received}.", offset=file.received
+                409, "offset", Text("The next chunk of this file begins at {}.", file.received), offset=file.received
             )
         if start + size > file.size:
             raise Problem(413, "too_large", "The file is larger than its entry in the list said.")
@@ -147,7 +149,7 @@ class Uploads:
             missing = transaction.value("SELECT count(*) FROM upload_file WHERE upload = :id AND received < "
                                         "size", id=upload)
             if missing:
-                raise Problem(409, "incomplete", f"{missing} files are not whole yet.")
+                raise Problem(409, "incomplete", Text("{} files are not whole yet.", missing))
             files = tuple(File(path=file.path, size=file.size, sha256=file.sha256) for file in transaction.all(
                 "SELECT path, size, sha256 FROM upload_file WHERE upload = :id ORDER BY number", id=upload))
             chunks: dict[str, list[str]] = {}
@@ -188,7 +190,7 @@ class Uploads:
     def _together(self, file: File, objects: list[str], version: str) -> bytes:
         content = b"".join(map(self._store.get, objects))
         if len(content) != file.size or hashlib.sha256(content).hexdigest() != file.sha256:
-            raise refused(f"{file.path} is not what its SHA-256 says. Upload it again.")
+            raise refused(Text("{} is not what its SHA-256 says. Upload it again.", file.path))
         self._store.put(f"{HELD}/{version}/{file.path}", content)
         return content
 

@@ -10,6 +10,8 @@ import re
 import unicodedata
 from typing import Any
 
+from curecon_blender.core.base.language import Text
+
 from .database import Database, Transaction
 from .problems import Problem
 
@@ -72,7 +74,7 @@ def search(database: Database, asked: dict[str, str]) -> dict[str, Any]:
     """Public sites by `q`, `tag`, `register`, `from` and `to` (years), `box` (west,south,east,north); page `page`, from
     1. Raises Problem."""
     if len(asked.get("q", "")) > _LONGEST_QUERY:
-        raise Problem(400, "query", f"A search has {_LONGEST_QUERY} letters at most.")
+        raise Problem(400, "query", Text("A search has {} letters at most.", _LONGEST_QUERY))
     page = _number(asked.get("page", "1"), 1, _MOST_PAGES)
     where, values = ["state = 'public'"], dict[str, Any]()
     wanted = _wanted(asked.get("q", ""), not database.is_sqlite)
@@ -110,7 +112,7 @@ def search(database: Database, asked: dict[str, str]) -> dict[str, Any]:
 
 def _number(text: str, low: int, high: int) -> int:
     if not re.fullmatch(r"-?\d{1,6}", text) or not low <= int(text) <= high:
-        raise Problem(400, "query", f"{text[:20]!r} is no number from {low} to {high}.")
+        raise Problem(400, "query", Text("{} is no number from {} to {}.", repr(text[:20]), low, high))
     return int(text)
 
 

@@ -23,18 +23,9 @@ function tell(text, wrong = false) {
 }
 
 function told(error) {
-  const word = `code_${error.code}`;
-  if (error instanceof Refusal) return document.documentElement.lang !== "en" && has(word) ? say(word) : error.message;
+  if (error instanceof Refusal) return error.message;
   console.error(error);
   return say("cut");
-}
-
-function has(word) {
-  try {
-    return Boolean(say(word));
-  } catch {
-    return false;
-  }
 }
 
 /** Do something that may be refused, and say so. */
@@ -247,7 +238,7 @@ async function audit() {
     const { lines } = await ask("GET", `api/audit${before ? `?before=${before}` : ""}`);
     for (const line of lines) {
       const row = element("tr");
-      row.append(element("td", moment(line.at)), element("td", line.by), element("td", [line.action, line.subject, line.detail].filter(Boolean).join(" · ")));
+      row.append(element("td", moment(line.at)), element("td", line.by), element("td", [say(`did_${line.action}`), line.subject, line.detail].filter(Boolean).join(" · ")));
       table.append(row);
     }
     return lines.at(-1)?.id ?? before;
