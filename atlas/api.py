@@ -4,8 +4,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import hmac
 from dataclasses import dataclass
+from typing import Annotated, Any
 
 from anyio import CapacityLimiter, to_thread
 from starlette.concurrency import run_in_threadpool
@@ -15,6 +17,7 @@ from starlette.routing import Route
 
 from . import people, words
 from .problems import Problem
+from .records import Words
 from .requests import (
     Meter,
     body,
@@ -35,6 +38,7 @@ _searches = Meter(300, 300)
 # Threads of their own, so that uploads, which wait for disks, never keep a visitor waiting for one; and so few for
 # checks that many uploads that end at once take no more memory than two.
 _uploading, _checking = CapacityLimiter(8), CapacityLimiter(2)
+_checks: dict[tuple[str, str], asyncio.Future[dict[str, Any]]] = {}  # under way, by account and upload
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +60,7 @@ class _Passwords:
 
 @dataclass(frozen=True, kw_only=True)
 class _Label:
-    label: str = ""
+    label: Annotated[str, Words(80)] = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +70,7 @@ class _Role:
 
 @dataclass(frozen=True, kw_only=True)
 class _Why:
-    why: str = ""
+    why: Annotated[str, Words(2000)] = ""
 
 
 # ---- people
@@ -81,8 +85,8 @@ async def join(request: Request) -> Response:
 
 async def sign_in(request: Request) -> Response:
     check_origin(request)
-    given: _SignIn = await record(request, _SignIn)
     await rate(request, f"sign_in {client(request)}", 40, _QUARTER)
+    given: _SignIn = await record(request, _SignIn)
     await rate(request, f"sign_in {people.digest(given.name.casefold())[:16]}", 10, _QUARTER)
     return await _signed_in(request, given)
 
@@ -140,6 +144,16 @@ async def invite(request: Request) -> Response:
     return JSONResponse({"link": f"{parts(request).configuration.address}/desk/#join={token}"})
 
 
+async def accounts(request: Request) -> Response:
+    (await person(request)).require(people.MODERATOR)
+
+    def work() -> list[dict[str, Any]]:
+        with parts(request).database.read() as transaction:
+            return people.accounts(transaction)
+
+    return JSONResponse({"accounts": await run_in_threadpool(work)})
+
+
 async def close(request: Request) -> Response:
     found = await person(request)
 
@@ -161,7 +175,7 @@ async def tokens(request: Request) -> Response:
                 return {"tokens": people.tokens(transaction, found.id)}
             if len(people.tokens(transaction, found.id)) >= 20:
                 raise Problem(409, "full", "You have 20 tokens. End one first.")
-            people.note(transaction, found.id, "token", label[:80])
+            people.note(transaction, found.id, "token", label)
             return {"token": people.give(transaction, found.id, people.UPLOAD, label)}
 
     return JSONResponse(await run_in_threadpool(work))
@@ -205,9 +219,14 @@ async def chunk(request: Request) -> Response:
 
 
 async def finish(request: Request) -> Response:
+    """Who asks again while an upload is checked waits for the same check, however often the connection was lost."""
     found = await person(request, uploads=True)
-    return JSONResponse(await to_thread.run_sync(parts(request).uploads.finish, found, request.path_params["id"],
-                                                 limiter=_checking))
+    asked = found.id, request.path_params["id"]
+    if asked not in _checks:
+        _checks[asked] = asyncio.ensure_future(to_thread.run_sync(parts(request).uploads.finish, found, asked[1],
+                                                                  limiter=_checking))
+        _checks[asked].add_done_callback(lambda done: (_checks.pop(asked), done.cancelled() or done.exception()))
+    return JSONResponse(await asyncio.shield(_checks[asked]))
 
 
 # ---- sites
@@ -299,6 +318,7 @@ ROUTES = [
         ("GET", "/api/me", me),
         ("POST", "/api/password", password),
         ("POST", "/api/invitations", invite),
+        ("GET", "/api/accounts", accounts),
         ("DELETE", "/api/accounts/{id}", close),
         ("GET", "/api/tokens", tokens),
         ("POST", "/api/tokens", tokens),

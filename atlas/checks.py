@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import re
 import struct
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -20,13 +21,14 @@ from .configuration import Limits
 from .problems import Problem, refused, why
 
 _MOST_RECORD = 1 << 20
-_MOST_FILM = 64 << 20
+_MOST_PIXELS = 6_000_000_000  # of textures, which take half a minute to be opened
+_one_film = threading.Lock()  # at a time: they are the largest files by far
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 # What a site's folder may hold, and the most bytes of each. Pages are the atlas's own; a PDF nobody can check.
 _KINDS = (
     (re.compile(r"site\.json"), _MOST_RECORD), (re.compile(r"thumbnail\.jpg"), 1 << 20),
     (re.compile(r"pictures/([1-9]|[1-3]\d|40)\.jpg"), pictures.MOST_PICTURE),
-    (re.compile(re.escape(records.FILM)), _MOST_FILM),
+    (re.compile(re.escape(records.FILM)), film.LARGEST),
     (re.compile(r"(surface|cloud)/tileset\.json"), tiles.MOST_TILESET),
     (re.compile(r"surface/earth\.json"), _MOST_RECORD),
     (re.compile(r"(surface|cloud)/(0|[1-9]\d{0,5})\.glb"), tiles.MOST_TILE),
@@ -36,7 +38,7 @@ _KINDS = (
 @dataclass(frozen=True, kw_only=True)
 class File:
     path: str
-    size: Annotated[int, Within(1, _MOST_FILM)]
+    size: Annotated[int, Within(1, 1 << 40)]
     sha256: str
 
 
@@ -53,8 +55,9 @@ def manifest(value: Any, limits: Limits) -> tuple[File, ...]:
         if most is None:
             raise refused(Text("{} is no file of a published site.", repr(file.path[:80])))
         if file.size > most:
-            raise Problem(413, "too_large", Text("{} has {:.1f} MB; {:.1f} are the most.", file.path, file.size / 1e6,
-                                                 most / 1e6))
+            raise Problem(413, "too_large", Text(
+                "{} has {:.1f} MB; {:.1f} are the most. Publish the site again with less of it.", file.path,
+                file.size / 1e6, most / 1e6))
         if not _SHA256.fullmatch(file.sha256):
             raise refused(Text("{}: its SHA-256 is none.", file.path))
     paths = [file.path for file in found]
@@ -74,6 +77,7 @@ def check(files: tuple[File, ...], get: Callable[[File], bytes]) -> tuple[record
     site, doubts = records.site(get(by_path["site.json"]))
     exact = site.location == EXACT
     expected = {"site.json", "thumbnail.jpg", *site.pictures, *([site.film] if site.film else [])}
+    pixels = 0
     for kind in ("surface", "cloud"):
         own = {path for path in by_path if path.startswith(f"{kind}/")}
         if not getattr(site, kind):
@@ -88,13 +92,17 @@ def check(files: tuple[File, ...], get: Callable[[File], bytes]) -> tuple[record
         names = {path.removeprefix(f"{kind}/") for path in own if path.endswith(".glb")}
         tiles.tileset(get(by_path[f"{kind}/tileset.json"]), names)
         for name in sorted(names):
-            tiles.tile(f"{kind}/{name}", get(by_path[f"{kind}/{name}"]), site.said.copyright)
+            pixels += tiles.tile(f"{kind}/{name}", get(by_path[f"{kind}/{name}"]), site.said.copyright)
+            if pixels > _MOST_PIXELS:
+                raise refused(Text("Its textures have more than {} megapixels. Publish the site again with less.",
+                                   _MOST_PIXELS // 1_000_000))
     if expected != set(by_path):
         wrong = min(expected ^ set(by_path))
         raise refused(Text("{} is missing.", wrong) if wrong in expected else
                       Text("{} is a file that the site does not name.", wrong))
     if site.film:
-        _check_film(get(by_path[site.film]))
+        with _one_film:
+            _check_film(get(by_path[site.film]))
     for path in ("thumbnail.jpg", *site.pictures):
         try:
             pictures.jpeg(get(by_path[path]), metadata=exact)

@@ -84,7 +84,6 @@ def read(path: Path) -> Configuration:
                    store=found.store if "://" in found.store else str(here / found.store))
 
 
-
 def _check(found: Configuration) -> None:
     parts = urlsplit(found.address)
     if parts.scheme not in ("http", "https") or not parts.hostname or parts.path.strip("/") or parts.query:

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import Connection, Engine, Row, create_engine, event, text
+from sqlalchemy import Connection, Row, create_engine, event, text
 from sqlalchemy.pool import QueuePool
 
 MIGRATIONS = Path(__file__).parent / "migrations"
@@ -70,10 +70,6 @@ class Database:
 
     def close(self) -> None:
         self._engine.dispose()
-
-    @property
-    def engine(self) -> Engine:
-        return self._engine
 
     def migrate(self) -> list[str]:
         """Bring the schema up to date, each step in a transaction of its own; the steps that were made. Machines that

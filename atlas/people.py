@@ -102,18 +102,15 @@ def join(database: Database, token: str, name: str, password: str) -> str:
         raise Problem(400, "password", Text("A password has {} to {} letters.", _SHORTEST, _LONGEST))
     kept, account = hashed(password, secrets.token_bytes(16)), identity()
     with database.write() as transaction:
-        row = transaction.one("SELECT role, ends, used_by FROM invitation WHERE digest = :digest", digest=digest(token))
-        if row is None or row.used_by or row.ends < now():
+        if not transaction.run("UPDATE invitation SET used_by = :account WHERE digest = :digest AND used_by IS NULL "
+                               "AND ends >= :now", account=account, digest=digest(token), now=now()):
             raise Problem(403, "invitation", "This invitation was used, has run out, or never was. Ask for another.")
         if transaction.one("SELECT id FROM account WHERE lower(name) = lower(:name)", name=name):
             raise Problem(409, "taken", "Somebody has that name. Choose another.")
-        taken = transaction.run("UPDATE invitation SET used_by = :account WHERE digest = :digest AND used_by IS NULL",
-                                account=account, digest=digest(token))
-        if not taken:
-            raise Problem(403, "invitation", "This invitation was used, has run out, or never was. Ask for another.")
+        role = transaction.value("SELECT role FROM invitation WHERE digest = :digest", digest=digest(token))
         transaction.run("INSERT INTO account VALUES (:id, :name, :role, :password, :made, NULL)", id=account, name=name,
-                        role=row.role, password=kept, made=now())
-        note(transaction, account, "join", row.role)
+                        role=role, password=kept, made=now())
+        note(transaction, account, "join", role)
     return account
 
 
@@ -134,7 +131,7 @@ def give(transaction: Transaction, account: str, kind: str, label: str) -> str:
     token = f"{'atlas_' if kind == UPLOAD else ''}{secrets.token_urlsafe(32)}"
     lasts = _UPLOAD_SECONDS if kind == UPLOAD else _SESSION_SECONDS
     transaction.run("INSERT INTO token VALUES (:digest, :account, :kind, :label, :made, :ends)", digest=digest(token),
-                    account=account, kind=kind, label=label[:80], made=now(), ends=now() + lasts)
+                    account=account, kind=kind, label=label, made=now(), ends=now() + lasts)
     return token
 
 
@@ -180,6 +177,12 @@ def change_password(database: Database, person: Person, old: str, new: str) -> N
         transaction.run("UPDATE account SET password = :made WHERE id = :id", made=made, id=person.id)
         transaction.run("DELETE FROM token WHERE account = :id", id=person.id)
         note(transaction, person.id, "password")
+
+
+def accounts(transaction: Transaction) -> list[dict[str, Any]]:
+    """Those that can sign in."""
+    rows = transaction.all("SELECT id, name, role, made FROM account WHERE closed IS NULL ORDER BY lower(name)")
+    return [dict(row._mapping) for row in rows]
 
 
 def close(transaction: Transaction, person: Person, account: str) -> None:

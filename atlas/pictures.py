@@ -27,8 +27,8 @@ _WEBP = {b"VP8 ", b"VP8L", b"VP8X", b"ALPH"}
 _at_once = threading.Semaphore(2)
 
 
-def jpeg(content: bytes, *, metadata: bool) -> None:
-    """A JPEG; with EXIF, XMP or a comment only where `metadata` may be. Raises ValueError."""
+def jpeg(content: bytes, *, metadata: bool) -> int:
+    """The pixels of a JPEG; it has EXIF, XMP or a comment only where `metadata` may be. Raises ValueError."""
     if content[:3] != b"\xff\xd8\xff":
         raise ValueError("no JPEG")
     position, size, scans = 2, None, 0
@@ -59,7 +59,7 @@ def jpeg(content: bytes, *, metadata: bool) -> None:
         raise ValueError("bytes behind the picture's end")
     if size and size[0] * size[1] > max(_SMALL, _MOST_PACKED * len(content)):
         raise ValueError("far fewer bytes than a picture of that size has")
-    _unpacked(content, size, "JPEG")
+    return _unpacked(content, size, "JPEG")
 
 
 def _marker(content: bytes, position: int) -> int:
@@ -79,8 +79,8 @@ def _past_scan(content: bytes, position: int) -> int:
         position += 2
 
 
-def webp(content: bytes) -> None:
-    """A WebP without metadata, as a tile's texture is. Raises ValueError."""
+def webp(content: bytes) -> int:
+    """The pixels of a WebP without metadata, as a tile's texture is. Raises ValueError."""
     if (
         content[:4] != b"RIFF"
         or content[8:12] != b"WEBP"
@@ -97,12 +97,12 @@ def webp(content: bytes) -> None:
         position += 8 + length + length % 2
     if position != len(content):
         raise ValueError("a texture that is cut short")
-    _unpacked(content, None, "WEBP")
+    return _unpacked(content, None, "WEBP")
 
 
-def _unpacked(content: bytes, size: tuple[int, int] | None, kind: str) -> None:
-    """Whether the decoder finds one picture in it, of no more pixels than there may be, and of `size` where that is
-    known."""
+def _unpacked(content: bytes, size: tuple[int, int] | None, kind: str) -> int:
+    """The pixels of the one picture that the decoder finds in it: no more than there may be, and of `size` where that
+    is known."""
     try:
         with _at_once, Image.open(io.BytesIO(content), formats=[kind]) as image:  # reads the header alone
             width, height = image.size
@@ -111,5 +111,6 @@ def _unpacked(content: bytes, size: tuple[int, int] | None, kind: str) -> None:
             if (size and size != image.size) or getattr(image, "n_frames", 1) != 1:
                 raise ValueError("it is not the picture that its header tells of")
             image.load()
+            return int(width * height)
     except (OSError, SyntaxError, Image.DecompressionBombError) as error:
         raise ValueError("it cannot be opened") from error

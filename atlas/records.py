@@ -27,7 +27,7 @@ _KEPT_INVISIBLE = "\u200c\u200d\u200e\u200f\u061c"  # joiners and marks that som
 _DEGREES = re.compile(r"-?\d{1,3}[.,]\d{3,}\D{1,12}-?\d{1,3}[.,]\d{3,}|\d{1,3}\s*°\s*\d{1,2}|\d{6,7}\D{1,8}\d{7}")
 
 
-class _Words:
+class Words:
     """Text without control characters but ends of lines, and without those that turn the direction of what follows."""
 
     def __init__(self, most: int) -> None:
@@ -50,8 +50,8 @@ class _Day:
             raise ValueError("no day")
 
 
-Line = Annotated[str, _Words(200)]
-Passage = Annotated[str, _Words(5000)]
+Line = Annotated[str, Words(200)]
+Passage = Annotated[str, Words(5000)]
 _Coordinate = Annotated[float, Within(-NEAR, NEAR)]
 _Place = tuple[_Coordinate, _Coordinate, _Coordinate]
 _Share = Annotated[float, Within(0, 1)]
@@ -108,11 +108,11 @@ class Site:
     """site.json, as `core/publish/write.py` writes it."""
 
     format: Annotated[int, Within(1, 1)]
-    id: Annotated[str, _Words(60)]
+    id: Annotated[str, Words(60)]
     title: Line
     text: Passage
     place: Line
-    credit: Annotated[str, _Words(500)]
+    credit: Annotated[str, Words(500)]
     licence: Line
     taken: Annotated[str, _Day()] | None
     location: Annotated[str, OneOf(*LOCATIONS)]
@@ -125,8 +125,8 @@ class Site:
     cloud: Cloud | None
     figures: Figures
     notes: tuple[Note, ...]
-    pictures: tuple[Annotated[str, _Words(40)], ...]
-    report: Annotated[str, _Words(40)] | None
+    pictures: tuple[Annotated[str, Words(40)], ...]
+    report: Annotated[str, Words(40)] | None
     film: Annotated[str, OneOf(FILM)] | None = None
 
     @property
@@ -155,8 +155,8 @@ class Added:
     """What a contributor adds to a site, to be found by. `period` is years, before our era below zero. `exact` is only
     there where officials may see it."""
 
-    tags: tuple[Annotated[str, _Words(40)], ...] = ()
-    register: Annotated[str, _Words(80)] = ""
+    tags: tuple[Annotated[str, Words(40)], ...] = ()
+    register: Annotated[str, Words(80)] = ""
     period_from: _Year | None = None
     period_to: _Year | None = None
     exact: Exact | None = field(default=None)

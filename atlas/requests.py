@@ -28,7 +28,7 @@ from .configuration import Configuration
 from .database import Database
 from .operation import Figures
 from .people import Person
-from .problems import Problem, language_of
+from .problems import Problem, language_of, why
 from .publisher import Publisher
 from .sites import Sites
 from .store import Store
@@ -136,7 +136,7 @@ async def record(request: Request, kind: Any) -> Any:
     try:
         return build(kind, given)
     except (ValueError, RecursionError) as error:
-        raise Problem(400, "request", Text("That request is none: {}.", str(error))) from error
+        raise Problem(400, "request", Text("That request is none: {}.", why(error))) from error
 
 
 async def person(request: Request, *, uploads: bool = False) -> Person:

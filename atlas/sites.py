@@ -59,8 +59,8 @@ class Sites:
     def refuse(self, person: Person, version: str, why: str) -> None:
         """Raises Problem."""
         person.require(MODERATOR)
-        if not why.strip() or len(why) > 2000:
-            raise Problem(400, "why", "Say why, in 2,000 letters at most: the contributor reads it.")
+        if not why.strip():
+            raise Problem(400, "why", "Say why: the contributor reads it.")
         with self._database.write() as transaction:
             transaction.alone()
             self._decide(transaction, person, version, "refused", why)
@@ -124,8 +124,6 @@ class Sites:
         """Take a site out, with all its versions and what it says of its place: its owner, or a moderator. Raises
         Problem."""
         person.require()
-        if len(why) > 2000:
-            raise Problem(400, "why", "Say why in 2,000 letters at most.")
         with self._database.write() as transaction:
             transaction.alone()
             row = transaction.one("SELECT owner, state FROM site WHERE name = :name", name=name)

@@ -14,7 +14,7 @@ from pathlib import Path
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import RedirectResponse, Response
+from starlette.responses import RedirectResponse, Response, StreamingResponse
 from starlette.routing import Route
 from starlette.staticfiles import StaticFiles
 
@@ -33,6 +33,8 @@ _POLICY = ("default-src 'none'; script-src 'self'; style-src 'self'; img-src 'se
 _SECURITY = {"X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer",
              "Cross-Origin-Opener-Policy": "same-origin",
              "Permissions-Policy": "camera=(), microphone=(), geolocation=(), payment=()"}
+_RANGE = re.compile(r"bytes=(\d{1,15})-(\d{0,15})")
+_PIECE = 1 << 20  # bytes
 _VERSION = re.compile(r"sites/[a-z0-9-]+\.\d+/.+\.(glb|jpg|mp4)")
 for _end, _type in _TYPES.items():
     mimetypes.add_type(_type, _end)
@@ -71,6 +73,8 @@ async def public(request: Request) -> Response:
 async def _of_store(request: Request, name: str) -> Response:
     if name.endswith("/"):
         name += "index.html"
+    if name.endswith(".mp4"):
+        return await _film(request, name)
     try:
         content = await run_in_threadpool(parts(request).store.get, name)
     except (FileNotFoundError, IsADirectoryError) as error:
@@ -83,6 +87,24 @@ async def _of_store(request: Request, name: str) -> Response:
     return Response(
         content, media_type=mimetypes.guess_type(name)[0] or "application/octet-stream", headers={"ETag": etag}
     )
+
+
+async def _film(request: Request, name: str) -> Response:
+    """A film in pieces, from wherever a player wants it: it may be larger than memory should hold for each visitor."""
+    store = parts(request).store
+    try:
+        size = await run_in_threadpool(store.size, name)
+    except FileNotFoundError as error:
+        raise HTTPException(404) from error
+    wanted = _RANGE.fullmatch(request.headers.get("range", ""))
+    start, end = (int(wanted[1]), int(wanted[2] or size - 1) + 1) if wanted else (0, size)
+    end = min(end, size)
+    if start >= end:
+        return Response(status_code=416, headers={"Content-Range": f"bytes */{size}"})
+    pieces = (store.part(name, at, min(at + _PIECE, end)) for at in range(start, end, _PIECE))
+    return StreamingResponse(pieces, 206 if wanted else 200, media_type="video/mp4", headers={
+        "Accept-Ranges": "bytes", "Content-Length": str(end - start),
+        **({"Content-Range": f"bytes {start}-{end - 1}/{size}"} if wanted else {})})
 
 
 async def held(request: Request) -> Response:

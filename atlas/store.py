@@ -55,6 +55,15 @@ class Store:
         content: bytes = self.path(name).read_bytes() if self.is_folder else self.files.cat_file(self._at(name))
         return content
 
+    def part(self, name: str, start: int, end: int) -> bytes:
+        """The bytes from `start` to before `end`, or as many as there are."""
+        if not self.is_folder:
+            content: bytes = self.files.cat_file(self._at(name), start, end)
+            return content
+        with self.path(name).open("rb") as file:
+            file.seek(start)
+            return file.read(end - start)
+
     def size(self, name: str) -> int:
         return self.path(name).stat().st_size if self.is_folder else int(self.files.info(self._at(name))["size"])
 

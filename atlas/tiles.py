@@ -29,7 +29,7 @@ MOST_TILE = 16 << 20  # bytes
 MOST_TILESET = 8 << 20
 _TILE = re.compile(r"(0|[1-9]\d{0,5})\.glb")
 _DEEPEST = 40
-_MOST_JSON = 1 << 20
+_MOST_JSON = 1 << 15  # of a tile
 _TYPES: dict[int, np.dtype[Any]] = {5121: np.dtype("u1"), 5123: np.dtype("<u2"), 5125: np.dtype("<u4")}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _number = Annotated[int, Within(0, 1 << 31)]
@@ -227,10 +227,10 @@ _EXTENSIONS = {"KHR_materials_unlit", "KHR_mesh_quantization", "EXT_texture_webp
 _SAMPLER = {"magFilter", "minFilter", "wrapS", "wrapT"}
 
 
-def tile(name: str, content: bytes, copyright: str) -> None:
-    """A tile that says whose it is as its site does, in `copyright`. Raises Problem."""
+def tile(name: str, content: bytes, copyright: str) -> int:
+    """The pixels of a tile's texture; it says whose it is as its site does, in `copyright`. Raises Problem."""
     try:
-        _Glb(content).check(copyright)
+        return _Glb(content).check(copyright)
     except (ValueError, RecursionError, struct.error) as error:
         raise refused(Text("{}: {}.", name, why(error))) from error
 
@@ -240,7 +240,7 @@ class _Glb:
     content: bytes
     binary: memoryview = field(default_factory=lambda: memoryview(b""))
 
-    def check(self, copyright: str) -> None:
+    def check(self, copyright: str) -> int:
         self.gltf: _Gltf = self._json()
         gltf = self.gltf
         for kind, most in (("scenes", 1), ("nodes", 1), ("meshes", 1), ("buffers", 1), ("images", 1), ("samplers", 1),
@@ -264,12 +264,13 @@ class _Glb:
         for view in gltf.bufferViews:
             if view.buffer or view.byteOffset % 4 or view.byteOffset + view.byteLength > len(self.binary):
                 raise ValueError("a view that reaches out of the tile")
-        self._check_looks()
+        pixels = self._check_looks()
         used = {number for primitive in gltf.meshes[0].primitives for number in self._primitive(primitive)}
         used |= {image.bufferView for image in gltf.images}
         if used != set(range(len(gltf.bufferViews))):
             raise ValueError("bytes that nothing shows")
         self._check_gaps()
+        return pixels
 
     def _json(self) -> _Gltf:
         """The content's record; sets `binary`."""
@@ -287,7 +288,8 @@ class _Glb:
         found: _Gltf = build(_Gltf, parse_json(data[20 : 20 + length].decode()))
         return found
 
-    def _check_looks(self) -> None:
+    def _check_looks(self) -> int:
+        """The pixels of its pictures."""
         gltf = self.gltf
         for material in gltf.materials:
             look = material.pbrMetallicRoughness or _Look()
@@ -307,11 +309,13 @@ class _Glb:
                 type(value) is int and 0 < value < 65536 for value in sampler.values()
             ):
                 raise ValueError("a sampler that is none")
+        pixels = 0
         for image in gltf.images:
             if image.bufferView >= len(gltf.bufferViews):
                 raise ValueError("a picture that is not there")
             view = gltf.bufferViews[image.bufferView]
-            pictures.webp(bytes(self.binary[view.byteOffset : view.byteOffset + view.byteLength]))
+            pixels += pictures.webp(bytes(self.binary[view.byteOffset : view.byteOffset + view.byteLength]))
+        return pixels
 
     def _primitive(self, primitive: _Primitive) -> set[int]:
         """The views that a primitive uses."""

@@ -35,7 +35,8 @@ class Uploads:
         self._database, self._store, self._limits, self._key = database, store, limits, key
 
     def begin(self, person: Person, value: Any) -> dict[str, Any]:
-        """An upload of the files that `value` lists: a new one, or the open one of the same files. Raises Problem."""
+        """An upload of the files that `value` lists: a new one, or the open one of the same files. What is added is as
+        it was said last. Raises Problem."""
         if not isinstance(value, dict) or not set(value) <= {"files", "added"}:
             raise Problem(400, "request", "An upload begins with files and what is added.")
         files = checks.manifest(value.get("files"), self._limits)
@@ -43,9 +44,7 @@ class Uploads:
         if added.exact and self._key is None:
             raise Problem(409, "no_key", "This atlas keeps no exact places. Leave the place out, then upload again.")
         about = json.dumps(self._sealed(asdict(added)), ensure_ascii=False)
-        # A place is sealed anew each time: the same upload is known by what is not sealed.
-        named = {**asdict(added), "exact": None, "files": [asdict(file) for file in files]}
-        digest = hashlib.sha256(json.dumps(named, sort_keys=True).encode()).hexdigest()
+        digest = hashlib.sha256(json.dumps([asdict(file) for file in files]).encode()).hexdigest()
         size = sum(file.size for file in files)
         with self._database.write() as transaction:
             row = transaction.one("SELECT id FROM upload WHERE account = :account AND digest = :digest AND state = "

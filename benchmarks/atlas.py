@@ -3,38 +3,60 @@
 """The atlas with many sites and under load, on this computer's loopback. Needs atlas/requirements.txt.
 
     python benchmarks/atlas.py catalogue [--sites 100000]
-    python benchmarks/atlas.py load [--visitors 200] [--uploads 20] [--megabytes 200] [--seconds 60]
+    python benchmarks/atlas.py load [--visitors 200] [--uploads 20] [--megabytes 200] [--large]
 
 `catalogue` makes sites up, and says what a visitor's first view of the map costs in bytes. `load` lets visitors read
-while uploads run at once; after a third of the time the server is killed and started again, and every upload goes on.
-It says latencies and memory, and compares every byte that came. All loops end by themselves.
+while uploads run at once. When some of the bytes have come the server is killed and started again, and every upload
+goes on, until its files are checked and held. It says latencies and memory, and compares every byte that came. With
+--large a PostgreSQL and an S3 store of their own stand behind the server. All loops end by themselves.
 """
 
 from __future__ import annotations
 
 import argparse
 import gzip
-import hashlib
 import http.client
+import io
 import json
+import multiprocessing
 import os
 import random
-import resource
 import signal
 import statistics
+import struct
 import sys
 import tempfile
 import threading
 import time
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
+from functools import cache
+from multiprocessing.connection import Connection
+from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from PIL import Image
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
+import atlas_services  # noqa: E402
+from atlas_run import Asker, Atlas, listed, make_site, running  # noqa: E402
+from little_site import CREDIT  # noqa: E402
+
 from atlas import configuration, quadkeys, server, words  # noqa: E402
 from atlas.database import now  # noqa: E402
+from atlas.store import HELD  # noqa: E402
+from curecon_blender.core.base.options import CELL  # noqa: E402
+from curecon_blender.core.publish.glb import mesh_tile  # noqa: E402
+from curecon_blender.core.publish.records import About  # noqa: E402
 
+_ALONE, _LONGEST = 10, 900  # seconds
+_SIDE = 1150  # pixels of a texture of noise that fills a megabyte
+_PATHS = ("/", "/items.json", "/catalogue/map/0/world.json", "/sites/gate/site.json", "/sites/gate.1/surface/0.glb",
+          "/api/search?q=gate")
 CENTRES = [
     (117.0, 24.7),
     (112.0, 35.0),
@@ -152,118 +174,172 @@ def catalogue(count: int, folder: Path) -> None:
 
 # ---- load
 
-def upload_of(number: int, megabytes: int, site: dict[str, bytes], noise: memoryview) -> dict[str, Any]:
-    """A site's files, filled up to its size with noise: no film and no pictures, which is found when all has come."""
-    record = {**json.loads(site["site.json"]), "title": f"Load {number}", "id": f"load-{number}"}
-    files: dict[str, Any] = {**site, "site.json": json.dumps(record).encode()}
-    at, end = 1_000_003 * number, 1_000_003 * number + 1_000_000 * megabytes
-    for name, size in (("film.mp4", 60_000_000), *((f"pictures/{one}.jpg", 8_000_000) for one in range(1, 41))):
-        if at < end:
-            files[name] = noise[at : min(at + size, end)]
-            at += size
-    return files
+class Made(Mapping[str, bytes]):
+    """The files of a site of `megabytes` tiles of a megabyte each, whose every byte an atlas checks. They are made as
+    they are asked for; no two sites have a tile in common."""
+
+    def __init__(self, number: int, megabytes: int, little: dict[str, bytes]) -> None:
+        record = json.loads(little["site.json"]) | {"title": f"Load {number}", "id": f"load-{number}", "cloud": None}
+        entry = json.loads(little["surface/tileset.json"])["root"]
+        leaf = {name: entry[name] for name in ("boundingVolume", "geometricError", "refine")}
+        entries = [{**leaf, "content": {"uri": f"{tile}.glb"}} for tile in range(megabytes)]
+        tileset = {"asset": {"version": "1.1"}, "geometricError": 1, "root": {**leaf, "children": entries}}
+        self._number = number
+        self._small = {"site.json": json.dumps(record).encode(), "thumbnail.jpg": little["thumbnail.jpg"],
+                       "surface/tileset.json": json.dumps(tileset).encode()}
+        self._names = [*self._small, *(f"surface/{tile}.glb" for tile in range(megabytes))]
+
+    def __getitem__(self, path: str) -> bytes:
+        if path in self._small:
+            return self._small[path]
+        content, at = _tile()
+        mark = struct.pack("<HH", self._number, int(Path(path).stem))  # in bytes that pad the first vertices
+        return b"".join([content[: at + 6], mark[:2], content[at + 8 : at + 14], mark[2:], content[at + 16 :]])
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
 
 
-def load(visitors: int, uploads: int, megabytes: int, seconds: int, folder: Path) -> None:
-    from atlas_run import Asker, Atlas, free_port, listed, make_site
+@cache
+def _tile() -> tuple[bytes, int]:
+    """A tile of a megabyte, and where its vertices begin."""
+    noise, packed = np.random.default_rng(0).integers(0, 256, (_SIDE, _SIDE, 3), np.uint8), io.BytesIO()
+    Image.fromarray(noise).save(packed, "WEBP", quality=85)
+    places = np.array([[0, 0, 0], [4, 0, 0], [0, 4, 2]], float)
+    said = About(title="", location=CELL, credit=CREDIT, licence="CC-BY-4.0").copyright
+    content = mesh_tile(places, np.array([[0, 1, 2]]), np.zeros(1, int), said, uv=places[:, :2] / 4,
+                        picture=packed.getvalue())
+    return content, 28 + struct.unpack_from("<I", content, 12)[0]
 
-    site = listed(make_site(folder / "p"))
-    noise = memoryview(random.Random(0).randbytes(1_000_003 * uploads + 1_000_000 * megabytes))
-    atlas = Atlas(folder / "a", free_port(), more="[limits]\nupload = 400000000\nuploads = 100\naccount = "
-                                                  "20000000000\n")
-    atlas.start()
-    somebody, moderator = atlas.somebody(), atlas.somebody("moderator")
-    version = somebody.upload(site).said["version"]
-    moderator.ask("POST", f"/api/versions/{version}/accept", {})
-    atlas.published()
-    ends, waits, failed, most = time.monotonic() + seconds, [], [0], [0]
-    killed = threading.Event()
+
+def _visit(port: int, visitors: int, over: Event, out: Connection) -> None:
+    """Visitors who ask for something every 0.5 to 2 seconds. Sends when each answer was asked for, when it had come,
+    and its status: 0 where nobody answered."""
+    found: list[tuple[float, float, int]] = []
 
     def visit(number: int) -> None:
         chance = random.Random(number)
-        paths = [
-            "/",
-            "/items.json",
-            "/catalogue/map/0/world.json",
-            "/sites/gate/site.json",
-            "/sites/gate.1/surface/0.glb",
-            "/api/search?q=gate",
-        ]
-        connection = http.client.HTTPConnection("127.0.0.1", atlas.port, timeout=60)
-        while time.monotonic() < ends:
+        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=60)
+        while not over.is_set():
             time.sleep(chance.uniform(0.5, 2))
-            began = time.perf_counter()
+            asked, status = time.monotonic(), 0
             try:
-                connection.request("GET", chance.choice(paths))
+                connection.request("GET", chance.choice(_PATHS))
                 answer = connection.getresponse()
                 answer.read()
-                if answer.status not in (200, 429):
-                    failed[0] += 1
-                if not killed.is_set():
-                    waits.append(time.perf_counter() - began)
+                status = answer.status
             except (OSError, http.client.HTTPException):
                 connection.close()
+            found.append((asked, time.monotonic(), status))
 
-    results: dict[int, str] = {}
+    _all([threading.Thread(target=visit, args=(number,)) for number in range(visitors)])
+    out.send(found)
+
+
+def _send(asker: Asker, uploads: int, megabytes: int, little: dict[str, bytes], out: Connection) -> None:
+    """People who upload at once, each until the site is held. Sends when the last chunk had come, when the last site
+    was held, and the versions by the number of their upload."""
+    held: dict[int, str] = {}
+    sent: list[float] = []
 
     def send(number: int) -> None:
-        files = upload_of(number, megabytes, site, noise)
-        asker = Asker(atlas.port, somebody.cookie, somebody.guard)
-        for _ in range(20):
+        files = Made(number, megabytes, little)
+        for _ in range(30):
             try:
                 begun = asker.begin(files).said
                 asker.send(begun, files)
-                results[number] = begun["upload"]
+                sent.append(time.monotonic())
+                held[number] = asker.ask("POST", f"/api/uploads/{begun['upload']}/finish", {}).said["version"]
                 return
             except (OSError, http.client.HTTPException, AssertionError, KeyError, TypeError):
                 time.sleep(1)
 
-    def watch() -> None:
-        while time.monotonic() < ends:
-            try:
-                text = Path(f"/proc/{atlas.process.pid}/status").read_text()  # type: ignore[union-attr]
-                most[0] = max(most[0], int(text.partition("VmRSS:")[2].split()[0]))
-            except (OSError, AttributeError, IndexError):
-                pass
-            time.sleep(0.2)
+    _all([threading.Thread(target=send, args=(number,)) for number in range(uploads)])
+    out.send((max(sent, default=0.0), time.monotonic(), held))
 
-    threads = [threading.Thread(target=visit, args=(number,)) for number in range(visitors)]
-    senders = [threading.Thread(target=send, args=(number,)) for number in range(uploads)]
-    began = time.monotonic()
-    for thread in [*threads, *senders, threading.Thread(target=watch, daemon=True)]:
+
+def _all(threads: list[threading.Thread]) -> None:
+    for thread in threads:
         thread.start()
-    time.sleep(seconds / 3)
-    killed.set()
-    atlas.stop(signal.SIGKILL)
-    atlas.start()
-    time.sleep(2)
-    killed.clear()
-    for sender in senders:
-        sender.join()
-    took = time.monotonic() - began
     for thread in threads:
         thread.join()
-    waits.sort()
-    print(f"{visitors} visitors, {uploads} uploads of {megabytes} MB, one SIGKILL: {took:.0f} s, "
-          f"{uploads * megabytes / took:.0f} MB/s; {len(results)} of {uploads} came whole")
-    print(f"{len(waits):,} answers to visitors, median {1000 * waits[len(waits) // 2]:.0f} ms, 95 % "
-          f"{1000 * waits[int(0.95 * len(waits))]:.0f} ms, 99 % {1000 * waits[int(0.99 * len(waits))]:.0f} ms, longest "
-          f"{1000 * waits[-1]:.0f} ms; {failed[0]} failed")
-    print(f"memory of the server at most {most[0] / 1024:.0f} MiB; of this program "
-          f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB")
-    wrong = 0
+
+
+def load(visitors: int, uploads: int, megabytes: int, large: bool, folder: Path) -> None:
+    little = listed(make_site(folder / "p"))
+    limits = "[limits]\nupload = 1000000000\nuploads = 100\naccount = 100000000000\n"
+    with ExitStack() as stack:
+        facts: dict[str, Any] = {"more": limits}
+        if large:
+            store, options = stack.enter_context(atlas_services.s3(folder / "s3"))
+            facts = {"database": stack.enter_context(atlas_services.postgresql(safe=True)).url, "store": store,
+                     "more": options + limits}
+        atlas = stack.enter_context(running(folder / "a", **facts))
+        somebody, moderator = atlas.somebody(), atlas.somebody("moderator")
+        version = somebody.upload(little).said["version"]
+        moderator.ask("POST", f"/api/versions/{version}/accept", {})
+        atlas.published()
+        _load(atlas, somebody, little, visitors, uploads, megabytes)
+
+
+def _load(atlas: Atlas, somebody: Asker, little: dict[str, bytes], visitors: int, uploads: int, megabytes: int) -> None:
+    fork = multiprocessing.get_context("fork")  # visitors and uploads are not to wait for one another
+    visited, visiting = fork.Pipe(duplex=False)
+    done, sending = fork.Pipe(duplex=False)
+    over = fork.Event()
+    fork.Process(target=_visit, args=(atlas.port, visitors, over, visiting), daemon=True).start()
+    time.sleep(_ALONE)
+    began, killed, up = time.monotonic(), 0.0, 0.0
+    fork.Process(target=_send, args=(somebody, uploads, megabytes, little, sending), daemon=True).start()
+    memory = processor = before = 0.0
+    while not done.poll(1):
+        if time.monotonic() > began + _LONGEST:
+            raise SystemExit(f"the uploads are not done after {_LONGEST} s")
+        used, ran = _used(atlas)
+        memory, processor = max(memory, used), max(processor, ran)
+        if not killed and _received(atlas) > 0.4e6 * uploads * megabytes:
+            killed = time.monotonic()
+            atlas.stop(signal.SIGKILL)
+            atlas.start()
+            up, before, processor = time.monotonic(), processor, 0.0
+    sent, ended, held = done.recv()
+    over.set()
+    answers = visited.recv()
+    print(f"{visitors} visitors, {uploads} uploads of {megabytes} MB: killed after {killed - began:.0f} s, up again "
+          f"{up - killed:.1f} s later; all had come after {sent - began:.0f} s, all were checked and held after "
+          f"{ended - began:.0f} s")
+    sound = [one for one in answers if one[1] < killed or one[0] > up]
+    for name, first, last in (("alone", 0.0, began), ("while chunks come", began, sent),
+                              ("while files are checked", sent, ended)):
+        waits = sorted(came - asked for asked, came, status in sound if first <= asked < last and status == 200)
+        if waits:
+            shares = ", ".join(f"{share:.0%} {1000 * waits[int(share * len(waits))]:.0f} ms"
+                               for share in (0.5, 0.95, 0.99))
+            print(f"visitors {name}: {len(waits):,} answers, {shares}, longest {1000 * waits[-1]:.0f} ms")
+    failed = [status for _, _, status in sound if status != 200]
+    print(f"{len(failed)} answers were others than 200: {sorted(set(failed))}")
+    print(f"the server: at most {memory:.0f} MiB, {before + processor:.0f} s of processor time")
     parts = server.assemble(configuration.read(atlas.configuration))
-    for number, upload in results.items():
-        files = upload_of(number, megabytes, site, noise)
-        with parts.database.read() as transaction:
-            for row in transaction.all("SELECT path, number FROM upload_file WHERE upload = :id", id=upload):
-                names = transaction.all("SELECT object FROM chunk WHERE upload = :id AND number = :number ORDER BY "
-                                        "start", id=upload,
-                                        number=row.number)
-                there = hashlib.sha256(b"".join(parts.store.get(one.object) for one in names)).digest()
-                wrong += there != hashlib.sha256(files[row.path]).digest()
-    print(f"{wrong} files differ from what was sent")
-    atlas.stop()
+    wrong = sum(parts.store.get(f"{HELD}/{version}/{path}") != content for number, version in held.items()
+                for path, content in Made(number, megabytes, little).items())
+    print(f"{len(held)} of {uploads} sites are held; {wrong} of their files differ from what was sent")
+
+
+def _used(atlas: Atlas) -> tuple[float, float]:
+    """The server's memory in MiB, and the processor's seconds that it took."""
+    assert atlas.process is not None
+    folder = Path("/proc") / str(atlas.process.pid)
+    ran = (folder / "stat").read_text().rpartition(") ")[2].split()[11:13]
+    return (int((folder / "status").read_text().partition("VmRSS:")[2].split()[0]) / 1024,
+            sum(map(int, ran)) / os.sysconf("SC_CLK_TCK"))
+
+
+def _received(atlas: Atlas) -> float:
+    figures = atlas.visitor.ask("GET", "/metrics", Authorization="Bearer 0123456789abcdef").body.decode()
+    return float(figures.partition("\natlas_received_bytes_total ")[2].split()[0])
 
 
 def main() -> None:
@@ -273,7 +349,7 @@ def main() -> None:
     parser.add_argument("--visitors", type=int, default=200)
     parser.add_argument("--uploads", type=int, default=20)
     parser.add_argument("--megabytes", type=int, default=200)
-    parser.add_argument("--seconds", type=int, default=60)
+    parser.add_argument("--large", action="store_true", help="with PostgreSQL and a store that speaks S3")
     parser.add_argument("--keep", type=Path, help="a new folder to leave the catalogue in")
     given = parser.parse_args()
     os.environ["PYTHONPATH"] = str(ROOT)
@@ -281,7 +357,7 @@ def main() -> None:
         if given.what == "catalogue":
             catalogue(given.sites, given.keep or Path(folder))
         else:
-            load(given.visitors, given.uploads, given.megabytes, given.seconds, Path(folder))
+            load(given.visitors, given.uploads, given.megabytes, given.large, Path(folder))
 
 
 if __name__ == "__main__":

@@ -35,6 +35,10 @@ def test_the_button_in_blender_to_the_public_map(blender: Path, tmp_path: Path) 
         atlas.published()
         (feature,) = atlas.visitor.ask("GET", "/items.json").said["features"]
         assert feature["properties"]["title"] == "From Blender" and feature["geometry"] is None
+        record = atlas.visitor.ask("GET", f"/sites/{feature['id']}/site.json").said
+        assert record["tags"] == ["earth", "圆楼", "round"] and record["register"] == "CN-1113"
+        assert record["period"] == [-20, 220]
+        assert atlas.visitor.ask("GET", "/api/search?tag=%E5%9C%86%E6%A5%BC&to=-19").said["numberMatched"] == 1
 
 
 def test_the_command_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -55,6 +59,8 @@ def test_the_command_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.Mo
         (made / "site.json").write_text(json.dumps({**record, "title": "a\u202eb"}))
         refused = curecon("upload", made.parent.parent, "--to", atlas.address)
         assert refused.code == 17 and "invisible letter" in refused.said
+        refused = curecon("upload", made.parent.parent, "--to", atlas.address, "--language", "zh_HANS")
+        assert refused.code == 17 and "不可见字符" in refused.said
         assert curecon("upload", tmp_path, "--to", atlas.address).code == 15
         monkeypatch.setenv(TOKEN_VARIABLE, "")
         assert curecon("upload", made, "--to", atlas.address).code == 17

@@ -227,6 +227,13 @@ def test_pictures_that_are_none(files: Callable[[str], dict[str, bytes]]) -> Non
         assert re.search(said, found), found
 
 
+def test_textures_that_would_take_long_to_open(
+    files: Callable[[str], dict[str, bytes]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(checks, "_MOST_PIXELS", 1000)
+    assert "0 megapixels" in refusal(files(CELL))
+
+
 def test_every_byte_of_a_picture_may_be_wrong(files: Callable[[str], dict[str, bytes]]) -> None:
     """Whatever one byte is: a refusal, or a picture; never another error."""
     whole, sound = files(CELL), files(CELL)["pictures/1.jpg"]

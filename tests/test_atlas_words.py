@@ -22,7 +22,7 @@ ATLAS = ROOT / "atlas"
 CONSOLE = {"__main__.py", "backup.py", "configuration.py", "local.py"}  # for the machine's owner, in English
 CHINESE = json.loads((problems.LANGUAGES / "zh_HANS.json").read_text())
 FIELDS = {"title", "text", "place", "credit", "licence", "tags", "register", "latitude", "longitude", "period_from",
-          "period_to", "exact"}  # that a refusal may name
+          "period_to", "exact", "why", "label"}  # that a refusal may name
 STATES = {"accepted", "refused", "withdrawn", "removed"}
 NAMES = re.compile(r"site\.json|JSON|GLB|JPEG|EXIF|XMP|IPTC|SHA-256|U\+[0-9A-F]{4}|MB|[\w/]+\.(jpg|glb)|'[^']*'")
 
@@ -106,6 +106,7 @@ def test_refusals_are_chinese_for_whom_asks_so(
         ("POST", "/api/join", {**token, "password": "short"}), ("GET", "/api/held", None),
         ("POST", "/api/versions/x/accept", {}), ("DELETE", "/api/versions/x", None), ("GET", "/api/uploads/x", None),
         ("POST", "/api/sites/x/remove", {"why": ""}), ("POST", "/api/sites/x/remove", {"why": "x" * 3000}),
+        ("POST", "/api/tokens", {"label": "a\u202eb"}),
         ("GET", "/api/search?from=a1", None), ("POST", "/api/password", {"old": PASSWORD, "new": "x"}),
     ):
         answer = chinese.ask(method, path, value)

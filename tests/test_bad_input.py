@@ -8,7 +8,6 @@ import json
 import os
 import shutil
 import subprocess
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -102,19 +101,6 @@ def test_a_file_where_the_workspace_should_be(site_photos: Path, tmp_path: Path)
     (tmp_path / "w").write_text("mine")
     refused(curecon("reconstruct", site_photos, "--workspace", tmp_path / "w"), 5, "file")
     assert (tmp_path / "w").read_text() == "mine"
-
-
-@pytest.fixture
-def mounted(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Path]:
-    """A small disk of its own, mounted with the options in the fixture's parameter."""
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    done = subprocess.run(["mount", "-t", "tmpfs", "-o", request.param, "tmpfs", str(disk)], check=False,
-                          capture_output=True, text=True)
-    if done.returncode:
-        pytest.skip(f"mounting a small disk needs root: {done.stderr.strip()}")
-    yield disk
-    subprocess.run(["umount", str(disk)], check=True)
 
 
 @pytest.mark.parametrize("mounted", ["ro,size=1m"], indirect=True)

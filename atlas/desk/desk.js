@@ -84,6 +84,15 @@ function section(word, ...parts) {
   return made;
 }
 
+/** Ask before something is done that cannot be undone. */
+function asking(made, question, work, ...fields) {
+  if (made.querySelector("form")) return;
+  const asked = form("yes", [element("p", say(question), { class: "doubt" }), ...fields], work);
+  asked.append(button("no", () => asked.remove()));
+  made.append(asked);
+  asked.querySelector("input, button").focus();
+}
+
 const cards = (list) => {
   const made = element("ul");
   made.append(...list);
@@ -135,15 +144,11 @@ async function mine() {
 }
 
 function takeDown(made, name) {
-  if (made.querySelector("form")) return;
-  const asked = form("yes", [element("p", say("takeDownAsked"), { class: "doubt" }), field("why", { maxlength: "2000" })], async (given) => {
+  asking(made, "takeDownAsked", async (given) => {
     await ask("POST", `api/sites/${name}/remove`, { why: given.why });
     tell(say("done"));
     await draw();
-  });
-  asked.append(button("no", () => asked.remove()));
-  made.append(asked);
-  asked.querySelector("input").focus();
+  }, field("why", { maxlength: "2000" }));
 }
 
 function upload() {
@@ -188,6 +193,20 @@ function upload() {
   }));
 }
 
+async function people() {
+  const { accounts } = await ask("GET", "api/accounts");
+  return section("accounts", cards(accounts.map((one) => {
+    const made = card(element("span", `${one.name} · ${say(one.role)} · ${day(one.made)}`));
+    const close = () => asking(made, "closeAsked", async () => {
+      await ask("DELETE", `api/accounts/${one.id}`);
+      tell(say("done"));
+      await draw();
+    });
+    if (one.id !== me.id) made.append(buttons(button("close", close)));
+    return made;
+  })));
+}
+
 async function moderate() {
   const { held } = await ask("GET", "api/held");
   return section("moderate", cards(held.map((one) => {
@@ -212,7 +231,7 @@ async function moderate() {
         asked.querySelector("input").focus();
       })));
     return made;
-  })), invite());
+  })), invite(), await people());
 }
 
 function invite() {

@@ -30,16 +30,25 @@ async function hash(file) {
 
 const pause = (seconds) => new Promise((done) => setTimeout(done, 1000 * seconds));
 
-/** A chunk, again where the connection breaks; where the file's next one begins. */
-async function sendChunk(address, part, start) {
+/** What an asking answers; again where the connection breaks or the server cannot answer now. */
+async function patiently(asking) {
   for (let attempt = 1; ; attempt++) {
     try {
-      return (await ask("PUT", `${address}?start=${start}`, undefined, part)).received;
+      return await asking();
     } catch (error) {
-      if (error instanceof Refusal && error.status === 409 && Number.isInteger(error.answer.offset)) return error.answer.offset;
       if ((error instanceof Refusal && error.status < 500) || attempt === ATTEMPTS) throw error;
       await pause(attempt);
     }
+  }
+}
+
+/** Where the file's next chunk begins. */
+async function sendChunk(address, part, start) {
+  try {
+    return (await patiently(() => ask("PUT", `${address}?start=${start}`, undefined, part))).received;
+  } catch (error) {
+    if (error instanceof Refusal && error.status === 409 && Number.isInteger(error.answer.offset)) return error.answer.offset;
+    throw error;
   }
 }
 
@@ -61,5 +70,5 @@ export async function send(files, added, told) {
     }
   }
   told("checking", total, total);
-  return ask("POST", `api/uploads/${begun.upload}/finish`, {});
+  return patiently(() => ask("POST", `api/uploads/${begun.upload}/finish`, {}));
 }

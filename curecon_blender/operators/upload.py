@@ -13,10 +13,11 @@ from typing import Any
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 from bpy.app.translations import pgettext_rpt as rpt_
-from bpy.props import EnumProperty
+from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
 from ..core.base.errors import CuReconError
 from ..core.base.options import TOKEN_VARIABLE, UPLOAD
+from ..languages import current
 from ..preferences import settings
 from . import paths, running
 from .running import WorkerOperator
@@ -45,6 +46,11 @@ What has come there stays when it is cancelled, and the next press goes on from 
     panel = "result"
 
     site: EnumProperty(name="Site", description="Which published site is uploaded", items=_sites)
+    tags: StringProperty(name="Tags", description="Words that the site is found by, with commas between")
+    register: StringProperty(name="Register Number", description="The site's number in a heritage register")
+    dated: BoolProperty(name="Period Known", description="Say when the site was built and used")
+    period_from: IntProperty(name="From Year", description="Before our era below zero", min=-10_000, max=2200)
+    period_to: IntProperty(name="To Year", description="Before our era below zero", min=-10_000, max=2200)
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -62,7 +68,13 @@ What has come there stays when it is cancelled, and the next press goes on from 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
         layout.use_property_split = True
-        layout.prop(self, "site")
+        layout.use_property_decorate = False
+        for name in ("site", "tags", "register", "dated"):
+            layout.prop(self, name)
+        if self.dated:
+            column = layout.column(align=True)
+            column.prop(self, "period_from")
+            column.prop(self, "period_to")
         address = settings(context).atlas
         if not address:
             layout.label(text="The preferences name no atlas yet.", icon="ERROR")
@@ -83,7 +95,9 @@ What has come there stays when it is cancelled, and the next press goes on from 
             raise CuReconError("The preferences name no atlas yet.",
                                remedy="Put its address and a token from your page there into the add-on's preferences.")
         folder: Path = paths.absolute(context.scene.curecon.result.published)
-        return [UPLOAD, str(folder), f"--to={chosen.atlas}", f"--site={self.site}"]
+        given = [UPLOAD, str(folder), f"--to={chosen.atlas}", f"--site={self.site}", f"--tags={self.tags}",
+                 f"--register={self.register}", f"--language={current()}"]
+        return [*given, "--period", str(self.period_from), str(self.period_to)] if self.dated else given
 
     def environment(self, context: bpy.types.Context) -> dict[str, str]:
         return {TOKEN_VARIABLE: settings(context).atlas_token}

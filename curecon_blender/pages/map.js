@@ -10,6 +10,7 @@ import { element, say, speak } from "./words.js";
 
 const list = document.getElementById("list");
 const search = document.getElementById("search");
+const years = document.getElementById("years"); // where a server searches
 const here = new URL(".", import.meta.url);
 const root = new URL("../", here);
 const read = async (address) => (await fetch(new URL(address, root))).json();
@@ -19,6 +20,7 @@ const searched = link(catalogue, "search");
 const tiles = link(catalogue, "tiles") && new Tiles(link(catalogue, "tiles"), root);
 const all = { items: catalogue.features, next: link(catalogue, "next"), count: catalogue.numberMatched ?? catalogue.features.length };
 const known = new Map(all.items.map((item) => [item.id, item]));
+years.hidden = !searched;
 let listing = all; // what the list shows, and the map where it is of a search
 let map = null;
 let marks = [];
@@ -37,10 +39,16 @@ function local(wanted) {
   return { items, count: items.length };
 }
 
-/** A page of what a server found. */
-function page(answer, wanted) {
-  const next = answer.page < answer.pages ? `${searched}?q=${encodeURIComponent(wanted)}&page=${answer.page + 1}` : null;
-  return { items: answer.features, next, count: answer.numberMatched, wanted };
+/** A page of what a server found, which finds nothing where it refuses to search. */
+function page({ features = [], numberMatched = 0, page = 1, pages = 1 }, wanted) {
+  const next = page < pages ? `${searched}?${wanted}&page=${page + 1}` : null;
+  return { items: features, next, count: numberMatched, wanted };
+}
+
+/** What a server is asked for, as an address has it; empty for nothing. */
+function query() {
+  const given = [["q", search.value.trim()], ...[...years.children].filter((one) => one.validity.valid).map((one) => [one.id, one.value])];
+  return String(new URLSearchParams(given.filter(([, text]) => text)));
 }
 
 async function more() {
@@ -181,14 +189,14 @@ function listUp(found) {
 
 let asked = 0;
 let waiting = 0;
-search.addEventListener("input", () => {
+document.querySelector("aside").addEventListener("input", () => {
   clearTimeout(waiting);
   const number = ++asked;
-  const wanted = search.value.trim();
+  const wanted = query();
   if (!wanted) return listUp(all);
-  if (!searched) return listUp(local(wanted));
+  if (!searched) return listUp(local(search.value.trim()));
   waiting = setTimeout(async () => {
-    const found = page(await read(`${searched}?q=${encodeURIComponent(wanted)}`), wanted);
+    const found = page(await read(`${searched}?${wanted}`), wanted);
     if (number === asked) listUp(found); // no other letter was typed meanwhile
   }, 250);
 });

@@ -4,7 +4,7 @@
 
 const WORDS = {
   en: {
-    other: "中文", sites: "Sites", search: "Search sites", one: "1 site", many: "{} sites", nothing: "No site is called that.",
+    other: "中文", sites: "Sites", search: "Search sites", fromYear: "From year", toYear: "To year", one: "1 site", many: "{} sites", nothing: "No site is called that.",
     outline: "Land: Natural Earth", onMap: "Show on the map", exact: "Exact place", cell: "Somewhere in a square of 1 km",
     hidden: "Place not shown", unknown: "Place not known", view: "The site in 3D", map: "All sites", loading: "Loading", home: "Whole site",
     measure: "Measure", section: "Section", filled: "Mark guesses", cloud: "Point cloud", surface: "Surface", link: "Copy link", about: "About",
@@ -29,7 +29,7 @@ const WORDS = {
     newest: "The newest version", embed: "To show it in another page",
   },
   zh: {
-    other: "English", sites: "遗址", search: "搜索遗址", one: "1 处遗址", many: "{} 处遗址", nothing: "没有这个名称的遗址。",
+    other: "English", sites: "遗址", search: "搜索遗址", fromYear: "起始年份", toYear: "结束年份", one: "1 处遗址", many: "{} 处遗址", nothing: "没有这个名称的遗址。",
     outline: "陆地轮廓：Natural Earth", onMap: "在地图上显示", exact: "准确位置", cell: "位于 1 公里方格内某处",
     hidden: "不公开位置", unknown: "位置未知", view: "遗址三维视图", map: "全部遗址", loading: "正在加载", home: "全景",
     measure: "测量", section: "剖切", filled: "标出推测", cloud: "点云", surface: "表面", link: "复制链接", about: "关于",

@@ -44,7 +44,8 @@ try:
         except RuntimeError as error:
             assert said in str(error), error
     defaults["atlas"], defaults["atlas_token"] = ADDRESS, TOKEN
-    assert bpy.ops.curecon.upload() == {"FINISHED"}
+    assert bpy.ops.curecon.upload(tags="earth, 圆楼、round", register="CN-1113", dated=True, period_from=-20,
+                                  period_to=220) == {"FINISHED"}
 finally:
     curecon_blender.unregister()
 print("CHECKED")

@@ -33,7 +33,7 @@ async function open(context, path) {
     const at = new URL(one.url());
     if (!["data:", "blob:"].includes(at.protocol) && at.host !== host) wrong.push(`another host: ${one.url()}`);
   });
-  page.on("response", (one) => one.status() >= 400 && !/api\/(me|held)$/.test(one.url()) && wrong.push(`${one.status()}: ${one.url()}`));
+  page.on("response", (one) => one.status() >= 400 && !/api\/(me|held|session)$/.test(one.url()) && wrong.push(`${one.status()}: ${one.url()}`));
   await page.goto(new URL(path, address).href);
   return page;
 }
@@ -106,10 +106,20 @@ async function moderator() {
   const phone = await somebody(PHONE);
   const small = await open(phone, "desk/");
   await small.fill("[name=name]", "Moira");
-  await small.fill("[name=password]", "correct horse battery");
+  await small.fill("[name=password]", "wrong horse battery");
+  await small.keyboard.press("Enter");
+  await small.waitForSelector("#said.wrong");
+  found.refusal = await small.locator("#said").innerText();
   await picture(small, "phone_sign_in");
+  await small.fill("[name=password]", "correct horse battery");
   await small.keyboard.press("Enter");
   await small.waitForSelector("#rooms:not([hidden])");
+  await small.tap("a[href='#audit']");
+  await small.waitForSelector("td");
+  await picture(small, "phone_audit");
+  await small.tap("a[href='#moderate']");
+  await small.waitForSelector("[name=role]");
+  await picture(small, "phone_moderate");
   await small.tap("a[href='#upload']");
   await small.waitForSelector("[name=choose]");
   await picture(small, "phone_upload");
@@ -136,6 +146,12 @@ async function visitor() {
   await page.waitForFunction(() => !document.querySelector("#list li"));
   await page.fill("#search", "");
   await page.waitForSelector("#list li");
+  await page.fill("#from", "1751");
+  await page.waitForFunction(() => !document.querySelector("#list li"));
+  await page.fill("#from", "1750");
+  await page.waitForSelector("#list li");
+  await picture(page, "search_years");
+  await page.fill("#from", "");
   // By keyboard alone: from the search to the site's page.
   await page.focus("#search");
   for (let step = 0; step < 9; step++) {

@@ -19,13 +19,13 @@ _TIMED = (b"mvhd", b"tkhd", b"mdhd")
 _KIND_AT, _NAME_AT = 8, 24  # of a handler: what it is for, and its name
 
 
-def without_metadata(film: bytes) -> bytes:
+def without_metadata(film: bytes) -> bytearray:
     """The film without what tells more than its pictures. Raises ValueError for what is no MP4 of pictures alone."""
     data = bytearray(film)
     kinds = [*_blanked(data, b"", 0, len(data))]
     if not kinds or set(kinds) != {b"vide"}:
         raise ValueError("it is no MP4 of pictures alone")
-    return bytes(data)
+    return data
 
 
 def _blanked(data: bytearray, inside: bytes, start: int, end: int) -> Iterator[bytes]:

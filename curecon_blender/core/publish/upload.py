@@ -11,6 +11,8 @@ import ssl
 import time
 import urllib.error
 import urllib.request
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -19,6 +21,7 @@ from ..base.errors import CuReconError, WorkspaceError
 from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.reading import parse_json, read_bytes
+from . import film
 from .folder import SITES
 from .records import PublishError
 
@@ -26,7 +29,6 @@ STAGE = "upload"
 _TAKEN = re.compile(
     r"(site\.json|thumbnail\.jpg|film\.mp4|pictures/\d+\.jpg|(surface|cloud)/(tileset\.json|earth\.json|\d+\.glb))"
 )
-_LARGEST = 64 << 20  # bytes of a file
 _MOST_ANSWER = 8 << 20
 _PATIENCE = 120  # seconds for an answer
 _WAITS = (1, 3, 10, 30)  # seconds before an attempt is made again
@@ -42,11 +44,25 @@ class UploadError(CuReconError):
     kind = "upload"
 
 
-def upload(folder: Path, name: str, address: str, token: str, reporter: Reporter) -> dict[str, Any]:
-    """Send site `name` of a published folder, or the only one where `name` is empty, to the atlas at `address`. A
-    moderator there decides on it. Raises PublishError, UploadError, WorkspaceError, Cancelled."""
+@dataclass(frozen=True, kw_only=True)
+class Added:
+    """What a site is found by at an atlas, beside what it says itself: tags with commas between, its number in a
+    heritage register, first and last year."""
+
+    tags: str = ""
+    register: str = ""
+    period: Sequence[int] | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        first, last = self.period or (None, None)
+        return {"tags": [tag.strip() for tag in re.split("[,，、]", self.tags) if tag.strip()],
+                "register": self.register.strip(), "period_from": first, "period_to": last}
+
+
+def upload(folder: Path, name: str, added: Added, atlas: Atlas, reporter: Reporter) -> dict[str, Any]:
+    """Send site `name` of a published folder, or the only one where `name` is empty, to an atlas. A moderator there
+    decides on it. Raises PublishError, UploadError, WorkspaceError, Cancelled."""
     site = _site(folder, name)
-    atlas = _Atlas(address, token, reporter)
     reporter.stage(STAGE)
     files = sorted(path for path in site.rglob("*")
                    if path.is_file() and _TAKEN.fullmatch(path.relative_to(site).as_posix()))
@@ -57,7 +73,7 @@ def upload(folder: Path, name: str, address: str, token: str, reporter: Reporter
         content = _content(path)
         total += len(content)
         listed.append({"path": name_, "size": len(content), "sha256": hashlib.sha256(content).hexdigest()})
-    begun = atlas.ask("POST", "api/uploads", {"files": listed, "added": {}})
+    begun = atlas.ask("POST", "api/uploads", {"files": listed, "added": added.as_json()})
     done = sum(one["received"] for one in begun["files"])
     reporter.progress(done, total, fresh=False)
     for number, one in enumerate(begun["files"]):
@@ -89,7 +105,7 @@ def _site(folder: Path, name: str) -> Path:
 
 def _content(path: Path) -> bytes:
     try:
-        return read_bytes(path, _LARGEST)
+        return read_bytes(path, film.LARGEST)
     except (OSError, ValueError) as error:
         raise WorkspaceError(Text("{} cannot be read ({}).", path, Text(str(error))), path=path,
                              remedy="Publish the site again, then upload it.") from error
@@ -102,8 +118,10 @@ class _NoRedirect(urllib.request.HTTPRedirectHandler):
         return None
 
 
-class _Atlas:
-    def __init__(self, address: str, token: str, reporter: Reporter) -> None:
+class Atlas:
+    """Asks the atlas at `address`, which answers in `language`, such as zh_HANS. Raises UploadError."""
+
+    def __init__(self, address: str, token: str, language: str, reporter: Reporter) -> None:
         parts = urlsplit(address)
         if (
             parts.scheme != "https" and not (parts.scheme == "http" and parts.hostname in _LOOPBACK)
@@ -113,6 +131,7 @@ class _Atlas:
             raise UploadError("There is no token for the atlas.",
                               remedy="Make one on your page of the atlas, and put it into the preferences.")
         self.address, self._token, self._reporter = address.rstrip("/"), token, reporter
+        self._language = language.replace("_", "-") or "en"
         self._open = urllib.request.build_opener(
             _NoRedirect, urllib.request.HTTPSHandler(context=ssl.create_default_context())).open
 
@@ -138,7 +157,8 @@ class _Atlas:
         for wait in (*_WAITS, None):
             self._reporter.check_cancelled()
             request = urllib.request.Request(f"{self.address}/{path}", body, method=method, headers={
-                "Authorization": " ".join((_SCHEME, self._token)), "Content-Type": kind, "User-Agent": "CU-Recon"})
+                "Authorization": " ".join((_SCHEME, self._token)), "Content-Type": kind, "User-Agent": "CU-Recon",
+                "Accept-Language": self._language})
             try:
                 try:
                     with self._open(request, timeout=_PATIENCE) as answer:

@@ -251,6 +251,10 @@ def _publish(publish: argparse.ArgumentParser, upload: argparse.ArgumentParser) 
     upload.add_argument("folder", type=Path, help="that was published into")
     upload.add_argument("--to", required=True, metavar="ADDRESS", help="of the atlas")
     upload.add_argument("--site", default="", metavar="NAME", help="its folder's name, where there are several sites")
+    upload.add_argument("--tags", default="", help="that it is found by, with commas between")
+    upload.add_argument("--register", default="", metavar="NUMBER", help="in a heritage register")
+    upload.add_argument("--period", type=int, nargs=2, metavar=("FROM", "TO"), help="years, before our era below zero")
+    upload.add_argument("--language", default="", metavar="NAME", help="of the atlas's answers, such as zh_HANS")
 
 
 def about_of(given: argparse.Namespace) -> About:

@@ -142,9 +142,11 @@ def _run(options: argparse.Namespace, reporter: Reporter) -> dict[str, object]:
 
         return publish(options.workspace, options.folder, about_of(options), options.part, reporter)
     if options.command == UPLOAD:
-        from ..publish.upload import upload
+        from ..publish.upload import Added, Atlas, upload
 
-        return upload(options.folder, options.site, options.to, os.environ.get(TOKEN_VARIABLE, ""), reporter)
+        added = Added(tags=options.tags, register=options.register, period=options.period)
+        atlas = Atlas(options.to, os.environ.get(TOKEN_VARIABLE, ""), options.language, reporter)
+        return upload(options.folder, options.site, added, atlas, reporter)
     return pipeline.reconstruct(options_of(options), reporter)
 
 
