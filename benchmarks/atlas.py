@@ -54,7 +54,7 @@ from curecon_blender.core.publish.glb import mesh_tile  # noqa: E402
 from curecon_blender.core.publish.records import About  # noqa: E402
 
 _ALONE, _LONGEST = 10, 900  # seconds
-_SIDE = 1150  # pixels of a texture of noise that fills a megabyte
+_VERTICES, _FACES, _SIDE = 50_000, 40_000, 420  # of a tile of a megabyte, and the pixels of its texture
 _PATHS = ("/", "/items.json", "/catalogue/map/0/world.json", "/sites/gate/site.json", "/sites/gate.1/surface/0.glb",
           "/api/search?q=gate")
 CENTRES = [
@@ -205,12 +205,12 @@ class Made(Mapping[str, bytes]):
 
 @cache
 def _tile() -> tuple[bytes, int]:
-    """A tile of a megabyte, and where its vertices begin."""
-    noise, packed = np.random.default_rng(0).integers(0, 256, (_SIDE, _SIDE, 3), np.uint8), io.BytesIO()
-    Image.fromarray(noise).save(packed, "WEBP", quality=85)
-    places = np.array([[0, 0, 0], [4, 0, 0], [0, 4, 2]], float)
+    """A tile of a megabyte, most of it triangles as in real ones, and where its vertices begin."""
+    chance, packed = np.random.default_rng(0), io.BytesIO()
+    Image.fromarray(chance.integers(0, 256, (_SIDE, _SIDE, 3), np.uint8)).save(packed, "WEBP", quality=85)
+    places, faces = chance.uniform(-9, 9, (_VERTICES, 3)), chance.integers(0, _VERTICES, (_FACES, 3))
     said = About(title="", location=CELL, credit=CREDIT, licence="CC-BY-4.0").copyright
-    content = mesh_tile(places, np.array([[0, 1, 2]]), np.zeros(1, int), said, uv=places[:, :2] / 4,
+    content = mesh_tile(places, faces, np.zeros(_FACES, int), said, uv=chance.uniform(0, 1, (_VERTICES, 2)),
                         picture=packed.getvalue())
     return content, 28 + struct.unpack_from("<I", content, 12)[0]
 
