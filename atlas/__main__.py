@@ -12,7 +12,7 @@ from sqlalchemy.exc import DBAPIError
 
 from curecon_blender.core.base.errors import WorkspaceError
 
-from . import backup, configuration, local, operation, people, server
+from . import backup, configuration, local, operation, people, server, surveys
 from .problems import Problem
 
 
@@ -29,6 +29,7 @@ def main(arguments: list[str] | None = None) -> int:
     command("serve", "serve the atlas until it is told to end")
     command("invite", "an invitation's link, to make an account by").add_argument(
         "role", choices=people.ROLES, nargs="?", default=people.MODERATOR)
+    command("survey", "let a questionnaire's answers come in, and tell where to").add_argument("name")
     command("add", "publish a site's folder without the network").add_argument("site", type=Path)
     command("backup", "write all of it into a new folder").add_argument("folder", type=Path)
     command("restore", "bring a backup into an atlas that is empty").add_argument("folder", type=Path)
@@ -52,6 +53,10 @@ def _run(given: argparse.Namespace) -> None:
         return
     operation.start_log()
     parts = server.assemble(configuration.read(given.configuration))
+    if given.command == "survey":
+        with parts.database.write() as transaction:
+            surveys.open_survey(transaction, given.name, local.CONSOLE.id)
+        print(f"{parts.configuration.address}/api/surveys/{given.name}/answers")
     if given.command == "add":
         print(local.add(parts, given.site))
     if given.command == "backup":

@@ -15,7 +15,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
-from . import people, words
+from . import people, surveys, words
 from .problems import Problem
 from .records import Words
 from .requests import (
@@ -35,6 +35,7 @@ from .requests import (
 
 _QUARTER = 900  # seconds
 _searches = Meter(300, 300)
+_answers = Meter(20, 3600)
 # Threads of their own, so that uploads, which wait for disks, never keep a visitor waiting for one; and so few for
 # checks that many uploads that end at once take no more memory than two.
 _uploading, _checking = CapacityLimiter(8), CapacityLimiter(2)
@@ -289,6 +290,22 @@ async def search(request: Request) -> Response:
     return JSONResponse(found, headers={"Cache-Control": "public, max-age=300"})
 
 
+# ---- surveys
+
+async def answer(request: Request) -> Response:
+    """From a page of whatever place, or of none; nobody's cookies are asked for."""
+    _answers.count(client(request))
+    content = await body(request, surveys.MOST_BYTES)
+    await run_in_threadpool(surveys.add, parts(request).database, request.path_params["name"], content)
+    return JSONResponse({}, headers={"Access-Control-Allow-Origin": "*"})
+
+
+async def answers(request: Request) -> Response:
+    (await person(request)).require(people.MODERATOR)
+    table = await run_in_threadpool(surveys.answers, parts(request).database, request.path_params["name"])
+    return Response(table, media_type="text/csv", headers={"Content-Disposition": "attachment"})
+
+
 # ---- operation
 
 async def health(request: Request) -> Response:
@@ -337,6 +354,8 @@ ROUTES = [
         ("GET", "/api/audit", audit),
         ("GET", "/api/sites/{name}/place", place),
         ("GET", "/api/search", search),
+        ("POST", "/api/surveys/{name}/answers", answer),
+        ("GET", "/api/surveys/{name}/answers", answers),
         ("GET", "/health", health),
         ("GET", "/metrics", metrics),
     )

@@ -22,7 +22,8 @@ from .problems import Problem
 from .requests import Parts
 from .store import HELD, PUBLIC
 
-_TABLES = ("account", "invitation", "token", "site", "version", "version_file", "place", "audit")  # as they refer
+_TABLES = ("account", "invitation", "token", "site", "version", "version_file", "place", "audit", "survey",
+           "answer")  # as they refer
 _FORMAT = 1
 _MOST_LINE = 8 << 20
 _LATEST = max(path.name.partition(".")[0] for path in MIGRATIONS.glob("*.sql"))

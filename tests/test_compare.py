@@ -7,7 +7,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import compare_scenes as scenes
 import numpy as np
 import pytest
 from conftest import curecon
@@ -16,6 +15,7 @@ from PIL import Image
 from curecon_blender.core.compare import align, distances
 from curecon_blender.core.compare.geometry import Similarity, angle_of, turned
 from curecon_blender.core.compare.result import CompareError, Result, result_of
+from evaluation import registration_scenes as scenes
 from evaluation.cloud_metrics import cloud_errors
 
 NEAR = 0.05  # metres
@@ -98,6 +98,27 @@ def test_a_result_in_feet_is_named(ruin: tuple) -> None:
         align.find(ours, result_of("theirs", other.about(np.zeros(3)) / 0.3048), scaled=False)
 
 
+@pytest.mark.parametrize("name", ["facade", "ruin"])
+def test_where_little_is_shared_nothing_is_sure_and_nothing_is_made_up(name: str) -> None:
+    """A tenth is shared: what is found is wrong, or cannot be known to be right; nor is it mirrored or in feet."""
+    ours, other, _, _ = _pair(name, 0.1)
+    try:
+        laid = align.find(ours, other, scaled=False)
+    except CompareError as error:
+        assert "did not fit" in error.message
+    else:
+        assert not laid.sure and laid.remarks
+
+
+def test_marked_pairs_hold_where_the_surfaces_would_slide() -> None:
+    ours, other, motion, places = _pair("facade", 0.1)  # they share a strip of plain wall
+    marked = other.about(np.zeros(3))[::40]
+    shared = marked[align._thin(ours).tree.query(motion.apply(marked) - ours.offset)[0] < 0.3]
+    chosen = shared[[0, len(shared) // 3, len(shared) // 2, -1]]
+    laid = align.by_pairs(ours, other, np.hstack([chosen, motion.apply(chosen)]), scaled=False)
+    assert _off(laid, ours, other, motion, places) < 2 * NEAR
+
+
 def test_marked_pairs_lay_a_ring_and_are_told_how_far_off_they_are() -> None:
     ours, other, motion, places = _pair("ring", 0.5)
     marked = other.about(np.zeros(3))[[10, 5000, 9000, 20000]]
@@ -174,6 +195,24 @@ def test_signed_distances_and_their_limit_are_those_of_the_formula() -> None:
         spread = np.sqrt(sum(one.var(ddof=1) / len(one) for one in inside))
         assert found.limit[row] == pytest.approx(1.96 * (spread + 0.003), abs=1e-9)
     assert np.isnan(found.distance[2]) and not found.significant[2] and found.significant[:2].all()
+
+
+def test_signed_distances_are_those_of_another_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)  # it writes a log where it is imported
+    py4dgeo = pytest.importorskip("py4dgeo")
+    rng = np.random.default_rng(1)
+    ours, other = scenes.ruin(rng, 10), scenes.ruin(rng, 10) + [0, 0, 0.03]
+    places, normals = distances.cores_of(ours, None, 0.5)
+    found = distances.signed(ours, other, places=places, normals=normals, width=1.0, depth=2.5, registration=0.01)
+    # It cuts the cylinder into pieces: of an odd number, so that no place lies on a cut.
+    theirs, told = py4dgeo.M3C2(
+        epochs=(py4dgeo.Epoch(ours), py4dgeo.Epoch(other)), corepoints=places, corepoint_normals=normals.copy("C"),
+        cyl_radius=0.5, max_distance=2.5, registration_error=0.01).run()
+    known = found.known
+    assert known.sum() > 3000 and np.abs(found.distance - theirs)[known].max() < 1e-9
+    assert np.abs(found.limit - told["lodetection"])[known].max() < 1e-9
+    fewer = np.minimum(told["num_samples1"], told["num_samples2"])[~known]
+    assert (fewer < 4).all(), "a place with points on both sides has no distance"
 
 
 def test_what_fell_down_is_found_with_its_place_and_size() -> None:

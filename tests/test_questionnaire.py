@@ -81,6 +81,22 @@ def test_an_answer_given_in_a_browser_is_what_the_statistics_read(page: Path, tm
     assert [one.why for one in leave_out(answers)[1]] == ["took 0 s, less than 24 s"]
 
 
+def test_a_published_site_is_shown_by_its_pictures_and_answers_may_be_sent(tmp_path: Path) -> None:
+    site = tmp_path / "sites" / "gate"
+    (site / "pictures").mkdir(parents=True)
+    for number in (1, 2):
+        Image.fromarray(np.full((30, 40, 3), 90 * number, np.uint8)).save(site / "pictures" / f"{number}.jpg")
+    (site / "site.json").write_text('{"pictures": ["pictures/1.jpg", "pictures/2.jpg"]}')
+    arguments = ["--out", str(tmp_path / "page.html"), "--contact", "a@b.org", "--result", "Ours", str(site)]
+    assert main([*arguments, "--post", "https://atlas.example/api/surveys/gate/answers"]) == 0
+    text = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert text.count("data:image/jpeg;base64,") == 2
+    assert "sends your answer, when you save it, to atlas.example" in text and "sends nothing" not in text
+    for content in ('{"pictures": []}', '{"pictures": ["../../secret.jpg"]}', "[]"):
+        (site / "site.json").write_text(content)
+        assert main(arguments) != 0
+
+
 @pytest.mark.parametrize(("results", "word"), [
     ([["A", "a.png"], ["A", "a.png"]], "name of its own"), ([["A: x", "a.png"]], "colon"),
     ([["A", "a.png"], ["B", "a.png", "a.png"]], "different numbers"), ([["A", "no.png"]], "no.png"),

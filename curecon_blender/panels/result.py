@@ -57,13 +57,25 @@ class CURECON_PT_result(Panel, bpy.types.Panel):
             layout.operator("curecon.accuracy_report", icon="TEXT")
             layout.operator("curecon.export_deliverables", icon="EXPORT")
             _draw_publish(layout, context, result)
-            layout.operator("curecon.import_comparison", icon="IMPORT")
+            row = layout.row(align=True)
+            row.operator("curecon.compare", icon="MOD_DATA_TRANSFER")
+            row.operator("curecon.import_comparison", text="", icon="IMPORT")
         if comparison.is_compared(context.active_object):
-            layout.operator("curecon.colour_comparison", icon="COLOR")
+            _draw_distances(layout, context.active_object)
         row = layout.row(align=True)
         if clouds:
             row.prop(properties, "show_cloud", toggle=True, icon="POINTCLOUD_DATA")
         row.prop(properties, "show_cameras", toggle=True, icon="CAMERA_DATA")
+
+
+def _draw_distances(layout: bpy.types.UILayout, compared: bpy.types.Object) -> None:
+    column = layout.column(align=True)
+    column.operator("curecon.colour_comparison", icon="COLOR")
+    bars = comparison.histogram(compared)
+    most = max(bar.share for bar in bars) or 1.0
+    for bar in bars:
+        column.progress(factor=bar.share / most, text=f"{bar.low:.3g} – {bar.high:.3g} m: {bar.share:.0%}",
+                        translate=False)
 
 
 def _draw_publish(layout: bpy.types.UILayout, context: bpy.types.Context, result: bpy.types.PropertyGroup) -> None:

@@ -24,6 +24,8 @@ _OWN = "own_colour"  # the attribute that keeps a cloud's own colours
 _NEAR_TO_FAR = np.array([[44, 123, 182], [171, 217, 233], [255, 255, 191], [253, 174, 97], [215, 25, 28]], float)
 _LOST_TO_CAME = np.array([[178, 24, 43], [244, 165, 130], [225, 225, 225], [146, 197, 222], [33, 102, 172]], float)
 _UNKNOWN, _ALIKE = (128, 128, 128), (225, 225, 225)
+_BARS = 8  # of the histogram
+_HISTOGRAM = "curecon_histogram"  # on the cloud: the least and the greatest distance, and the share in each bar
 
 
 @dataclass(frozen=True)
@@ -79,8 +81,35 @@ def farthest(distance: np.ndarray) -> float:
     return float(f"{np.percentile(known, 95):.1g}") or float(known.max())
 
 
+@dataclass(frozen=True)
+class Bar:
+    """The share of a cloud's points whose distances lie from `low` to `high`; what lies beyond counts at the ends."""
+
+    low: float
+    high: float
+    share: float
+
+
+def histogram(item: bpy.types.Object) -> list[Bar]:
+    """Of a compared cloud's distances, up to what its last colour stands for."""
+    low, high, *shares = item.data[_HISTOGRAM]
+    edges = np.linspace(low, high, len(shares) + 1).tolist()
+    return [Bar(*bar) for bar in zip(edges[:-1], edges[1:], shares, strict=True)]
+
+
+def _counted(distance: np.ndarray, limit: np.ndarray, most: float) -> list[float]:
+    """As it is kept on the cloud."""
+    low, known = (-most if _is_change(limit) else 0.0), distance[np.isfinite(distance)]
+    bars = np.histogram(np.clip(known, low, most), _BARS, (low, most))[0]
+    return [low, most, *(bars / max(len(known), 1)).tolist()]
+
+
+def _is_change(limit: np.ndarray) -> bool:
+    return bool(np.nan_to_num(limit).any())
+
+
 def colour(item: bpy.types.Object, by: str, most: float) -> None:
-    """Give a compared cloud its own colours, or those of its distances up to `most`."""
+    """Give a compared cloud its own colours, or those of its distances up to `most`, by which they are counted, too."""
     data = item.data
     count = len(data.points)
     shown = np.empty(count * 4, np.float32)
@@ -91,6 +120,7 @@ def colour(item: bpy.types.Object, by: str, most: float) -> None:
         data.attributes[DISTANCE].data.foreach_get("value", distance)
         data.attributes["limit"].data.foreach_get("value", limit)
         shown = points.linear_colours(colours_of(distance, limit, most)).ravel()
+        data[_HISTOGRAM] = _counted(distance, limit, most)
     data.attributes[points.COLOUR].data.foreach_set("color", shown)
     data.update_tag()
 
@@ -98,7 +128,7 @@ def colour(item: bpy.types.Object, by: str, most: float) -> None:
 def colours_of(distance: np.ndarray, limit: np.ndarray, most: float) -> np.ndarray:
     """sRGB (N,3) uint8: from near to far; or, where a change was measured, from lost by red to come by blue, pale where
     it is not significant. Grey is not known."""
-    change = bool(np.nan_to_num(limit).any())
+    change = _is_change(limit)
     place = (distance / most + 1) / 2 if change else np.abs(distance) / most
     ramp = _LOST_TO_CAME if change else _NEAR_TO_FAR
     at = np.clip(np.nan_to_num(place), 0, 1) * (len(ramp) - 1)

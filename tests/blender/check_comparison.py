@@ -14,6 +14,7 @@ from mathutils import Matrix
 
 import curecon_blender
 from curecon_blender.core.base.ply import row_type, table, write_ply
+from curecon_blender.core.cloud.ply import read_cloud
 from curecon_blender.scene import comparison
 from curecon_blender.scene.points import positions
 from curecon_blender.scene.workspace import clouds_of
@@ -64,18 +65,38 @@ def check_change() -> None:
     lost, came = shown[distance < -0.5].mean(axis=0), shown[distance > 0.5].mean(axis=0)
     assert lost[0] > 2 * lost[2] and came[2] > 2 * came[0]
     assert np.ptp(shown[np.abs(distance) < 0.1], axis=1).max() < 1e-6, "what is not significant has a colour"
+    bars = comparison.histogram(item)
+    assert bars[0].low == -bars[-1].high and abs(bars[0].share - 1 / 3) < 1e-6, "lost, came and alike are a third each"
+
+
+def check_results_of_others() -> None:
+    """One button: the sheet, the figures, and each result as a coloured cloud whose distances are counted."""
+    ours = read_cloud(FOLDER / "site" / "cloud.ply").points
+    for name, shift in (("near", 0.01), ("far", 0.3)):
+        np.savetxt(FOLDER / f"{name}.xyz", ours + [0, 0, shift], fmt="%.4f")
+    assert bpy.ops.curecon.compare(directory=str(FOLDER), files=[{"name": "near.xyz"}, {"name": "far.xyz"}],
+                                   threshold=0.1) == {"FINISHED"}
+    made = FOLDER / "site" / "compare"
+    assert (made / "sheet.pdf").read_bytes().startswith(b"%PDF") and (made / "sheet.png").is_file()
+    near, far = (bpy.data.objects[name] for name in ("1_near", "2_far"))
+    for item, expected in ((near, 0), (far, -1)):  # the bar that holds most of it
+        bpy.context.view_layer.objects.active = item
+        bpy.ops.curecon.colour_comparison(most=0.2)
+        bars = comparison.histogram(item)
+        assert bars[0].low == 0 and abs(bars[-1].high - 0.2) < 1e-6
+        assert bars[expected].share > 0.7, [bar.share for bar in bars]
 
 
 curecon_blender.register()
 try:
     bpy.ops.wm.read_homefile(use_empty=True)
     assert not bpy.ops.curecon.colour_comparison.poll()
-    workspace_scene.write(FOLDER / "site")
-    bpy.ops.curecon.import_workspace(directory=str(FOLDER / "site"))
+    workspace_scene.imported(FOLDER / "site")
     clouds_of(bpy.context.scene)[0].matrix_world = Matrix.Translation((3, 4, 5))
     bpy.context.view_layer.update()
     check_distances()
     check_change()
+    check_results_of_others()
     plain = FOLDER / "site" / "cloud.ply"
     try:
         bpy.ops.curecon.import_comparison(filepath=str(plain))

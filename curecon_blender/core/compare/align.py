@@ -8,28 +8,32 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ..base.language import Text
 from ..base.options import COMPARE_WAYS
 from ..base.reading import FARTHEST, read_bytes
 from .geometry import Similarity, Thin, angle_of, fitted, thin_of, thinned
-from .icp import Fine, measured, refine
+from .icp import Evidence, Fine, evidence, measured, refine, thickness
 from .result import CompareError, Result
-from .search import Coloured, Found, search
+from .search import Coloured, differ, search
 
 COORDINATES, PAIRS, FOUND = COMPARE_WAYS
 LEAST_POINTS = 100
 _FINE_POINTS, _LARGE = 15_000, 300_000  # of the fine step; of what the coarse step looks at
 _REACH = 3.0  # spacings of the thinned clouds
 _LITTLE, _ENOUGH = 0.15, 0.4  # shares of the other that have partners: too few to believe; enough to be sure
-_RIVAL = 0.75  # of the best score: from there on another motion is as good, unless details decide:
-_CLEAN, _UNCLEAN = 0.003, 0.01  # nearly nothing lies off the surface by the best one, and something by the other
-_WELL, _BETTER = 0.8, 1.3  # partners from which on nothing else is tried; how much better something else must fit
-_OFF_SURFACE = 0.15  # of what has partners, that may lie before or behind our surface
+_RIVAL = 0.85  # of the best score: from there on another motion is as good, unless details decide:
+_TELLING, _CLEAN = 2.0, 0.01  # so many times what the best one leaves off our surface, and this share more
+_BETTER = 1.3  # how much better something else must fit
+_OFF_SURFACE = 0.15  # of what is near our surface, that may lie before or behind it
+_TRIED = 4  # other motions that are looked at closely
+_WELL = 0.8  # of the other that lies on ours: from there on it is neither mirrored nor in another unit
 _KNOWN_SCALES = {0.3048: "feet", 0.001: "millimetres", 0.01: "centimetres", 0.0254: "inches", 1000.0: "kilometres"}
 _SCALE_STEPS, _SCALE_STEP = 4, 1.3  # to either side of the ratio of the extents, each a factor
 _MIRROR = np.array([-1.0, 1, 1])
 _MOST_PAIRS = 10_000
+_KEPT = 2.0  # how much farther off than before pairs may come to lie by the fine step
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,15 +96,18 @@ def by_pairs(ours: Result, other: Result, pairs: np.ndarray, *, scaled: bool, fi
     mirrored = fitted(theirs * _MIRROR, mine, scaled=scaled)
     off_mirrored = np.linalg.norm(mirrored.apply(theirs * _MIRROR) - mine, axis=1)
     size = float(np.linalg.norm(np.ptp(mine, axis=0)))
-    if len(pairs) > 3 and np.sqrt((off**2).mean()) > max(5 * np.sqrt((off_mirrored**2).mean()), 0.02 * size):
+    if len(pairs) > 3 and _rms(off) > max(5 * _rms(off_mirrored), 0.02 * size):
         raise _is_mirrored(other)
     source, target = _thin(other), _thin(ours)
     reach = _reach(source, target)
-    near = max(reach, 2 * float(np.sqrt((off**2).mean())))
-    found = refine(source, target, motion, near, scaled=scaled) if fine else measured(source, target, motion, reach)
-    if fine and found.share <= _LITTLE:
-        found = measured(source, target, motion, reach)
+    found = measured(source, target, motion, reach)
     remarks = []
+    if fine and found.share > 0:
+        refined = refine(source, target, motion, max(reach, 2 * _rms(off)), scaled=scaled, wide=1.0)
+        if _rms(np.linalg.norm(refined.motion.apply(theirs) - mine, axis=1)) < _KEPT * _rms(off) + found.reach / _REACH:
+            found = refined
+        else:
+            remarks.append(f"The surfaces of {other.name} say otherwise than its pairs, which were kept.")
     worst = int(np.argmax(off))
     if len(pairs) > 3 and off[worst] > 0.05 * size:
         remarks.append(f"Pair {worst + 1} is off by {off[worst]:.2f}: it may be marked wrongly.")
@@ -113,56 +120,101 @@ def find(ours: Result, other: Result, *, scaled: bool) -> Laid:
     """By their shapes alone, and their colours as far as both have them. Raises CompareError where it did not fit, or
     fits only in another unit or mirrored."""
     _enough(ours, other)
-    a, b = _looked_at(other), _looked_at(ours)
-    scales = _scales(a[0], b[0]) if scaled else [1.0]
-    found = search(a, b, scales, scaled=scaled)
-    if found is None or found.best.partners < _WELL:
-        _explain(a, b, found, other, scaled=scaled)
-    if found is None or found.best.partners - found.best.against < _LITTLE:
+    mine, theirs = _side(ours), _side(other)
+    ways = _ways(mine, theirs, scaled=scaled)
+    remarks = _doubts(ways, other)
+    if not ways or (remarks and ways[0].evidence.on < _WELL):
+        _explain(mine, theirs, ways, other, scaled=scaled)
+    if not ways or ways[0].evidence.on - ways[0].evidence.off < _LITTLE:
         raise CompareError(Text("{} did not fit on ours in any way.", other.name), path=other.name,
                            remedy="Mark three pairs or more, or check that both show the same building.")
-    source, target = _thin(other), _thin(ours)
-    coarse = refine(source, target, found.best.motion, found.voxel, scaled=scaled)
-    fine = refine(source, target, coarse.motion, _reach(source, target), scaled=scaled)
-    remarks = _doubts(found, other)
-    return _laid(fine, FOUND, sure=not remarks, remarks=remarks)
+    return _laid(ways[0].fine, FOUND, sure=not remarks, remarks=remarks)
 
 
-def _doubts(found: Found, other: Result) -> list[str]:
-    best = found.best
-    rivals = [one for one in found.others if one.score > _RIVAL * best.score
-              and not (best.against < _CLEAN and one.against > _UNCLEAN)]
+@dataclass(frozen=True)
+class _Side:
+    """A cloud as the coarse step and as the fine step sees it; two halves of it lie `thick` off each other."""
+
+    cloud: Coloured
+    thin: Thin
+    thick: float
+
+
+def _side(result: Result) -> _Side:
+    places = result.places.astype(np.float64)
+    halves = (thin_of(thinned(places[first::2], _FINE_POINTS)) for first in (0, 1))
+    return _Side(_looked_at(result), _thin(result), thickness(*halves))
+
+
+@dataclass(frozen=True)
+class _Way:
+    """A motion, refined, with what speaks for and against it: `score` is the area on the surface less that off it."""
+
+    fine: Fine
+    evidence: Evidence
+    score: float
+
+
+def _ways(ours: _Side, other: _Side, *, scaled: bool) -> list[_Way]:
+    """How the other may lie on ours, the best first."""
+    a, b = other.cloud, ours.cloud
+    found = search(a, b, _scales(a[0], b[0]) if scaled else [1.0], scaled=scaled)
+    if found is None:
+        return []
+    reach = _reach(other.thin, ours.thin)
+    made = []
+    for guess in (found.best, *found.others[:_TRIED]):
+        fine = refine(other.thin, ours.thin, guess.motion, reach, scaled=scaled)
+        seen = evidence(other.thin, ours.thin, fine.motion, reach,
+                        min(max(ours.thick, other.thick * fine.motion.scale), reach))
+        made.append(_Way(fine, seen, (seen.on - seen.off) * fine.motion.scale**2 * guess.colours))
+    return sorted(made, key=lambda way: -way.score)
+
+
+def _doubts(ways: list[_Way], other: Result) -> list[str]:
+    if not ways:
+        return []
+    best, middle = ways[0], other.places.mean(axis=0, dtype=np.float64)
+    rivals = [way for way in ways[1:] if way.score > _RIVAL * best.score
+              and way.evidence.off < _TELLING * best.evidence.off + _CLEAN
+              and differ(way.fine.motion, best.fine.motion, middle, best.fine.reach)]
     remarks = []
     if rivals:
-        turns = ", ".join(sorted({f"{angle_of(best.motion.rotation.T @ one.motion.rotation):.0f}°"
-                                  for one in rivals[:6]}))
+        turns = ", ".join(sorted({f"{angle_of(best.fine.motion.rotation.T @ way.fine.motion.rotation):.0f}°"
+                                  for way in rivals}))
         remarks.append(f"{other.name} fits as well turned by {turns}, or moved: the building looks alike from "
                        "several sides. Mark three pairs to be sure.")
-    if best.against > _OFF_SURFACE * best.partners:
-        remarks.append(f"{100 * best.against:.0f} % of {other.name} lies before or behind ours: it may belong "
-                       "elsewhere. Mark three pairs to be sure.")
-    if best.partners < _ENOUGH:
-        remarks.append(f"Only {100 * best.partners:.0f} % of {other.name} met ours: it may belong elsewhere. Mark "
+    on, off = best.evidence.on, best.evidence.off
+    if off > _OFF_SURFACE * (on + off):
+        remarks.append(f"{100 * off / (on + off):.0f} % of {other.name} near ours lies before or behind it: it may "
+                       "belong elsewhere. Mark three pairs to be sure.")
+    if on < _ENOUGH:
+        remarks.append(f"Only {100 * on:.0f} % of {other.name} met ours: it may belong elsewhere. Mark "
                        "three pairs to be sure.")
     return remarks
 
 
-def _explain(a: Coloured, b: Coloured, found: Found | None, other: Result, *, scaled: bool) -> None:
-    """Raises CompareError where a mirrored or scaled result would fit much better than what was found."""
-    least = _BETTER * (0.0 if found is None else found.best.score)
-    scale = 1.0 if found is None else found.best.motion.scale
-    mirrored = search((a[0] * _MIRROR, a[1]), b, [scale], scaled=scaled)
-    if mirrored is not None and mirrored.best.score > least and mirrored.best.partners > _ENOUGH:
+def _explain(ours: _Side, theirs: _Side, ways: list[_Way], other: Result, *, scaled: bool) -> None:
+    """Raises CompareError where a mirrored or scaled result would fit much better, and without any doubt."""
+    least = _BETTER * (ways[0].score if ways else 0.0)
+    points, tones = theirs.cloud
+    thin = Thin(theirs.thin.points * _MIRROR, theirs.thin.normals * _MIRROR, cKDTree(theirs.thin.points * _MIRROR))
+    mirrored = _ways(ours, _Side((points * _MIRROR, tones), thin, theirs.thick), scaled=scaled)
+    if mirrored and mirrored[0].score > least and not _doubts(mirrored, other):
         raise _is_mirrored(other)
-    if scaled or (found is not None and found.best.partners >= _ENOUGH):
+    if scaled:
         return
-    rescaled = search(a, b, _scales(a[0], b[0]), scaled=True)
-    if rescaled is not None and rescaled.best.score > least and rescaled.best.partners > _ENOUGH:
-        found_scale = rescaled.best.motion.scale
-        unit = next((name for known, name in _KNOWN_SCALES.items() if abs(found_scale / known - 1) < 0.03), None)
+    rescaled = _ways(ours, theirs, scaled=True)
+    if rescaled and rescaled[0].score > least and not _doubts(rescaled, other):
+        found = rescaled[0].fine.motion.scale
+        unit = next((name for known, name in _KNOWN_SCALES.items() if abs(found / known - 1) < 0.03), None)
         words = f"it seems to be in {unit}" if unit else "its unit is another one, or unknown"
-        raise CompareError(Text("{} fits on ours only when scaled by {:.4g}: {}.", other.name, found_scale, words),
+        raise CompareError(Text("{} fits on ours only when scaled by {:.4g}: {}.", other.name, found, words),
                            path=other.name, remedy="Let its scale be found as well (--scale), or export it in metres.")
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt((values**2).mean()))
 
 
 def _is_mirrored(other: Result) -> CompareError:

@@ -67,8 +67,15 @@ class Change:
 
 def to_cloud(points: np.ndarray, reference: np.ndarray) -> np.ndarray:
     """Distance (N,) of each point to the nearest one of the reference."""
-    distances: np.ndarray = cKDTree(reference).query(points)[0]
+    distances: np.ndarray = cKDTree(reference).query(points, workers=-1)[0]
     return distances
+
+
+def _near(points: np.ndarray, at: np.ndarray, radius: float) -> np.ndarray:
+    """Those of the points (N,3) that lie within `radius` of any place (n,3): a tree of all would be large."""
+    distance = cKDTree(at).query(points, distance_upper_bound=radius, workers=-1)[0]
+    kept: np.ndarray = points[np.isfinite(distance)]
+    return kept
 
 
 def shares(to_reference: np.ndarray, to_cloud_: np.ndarray, thresholds: Sequence[float]) -> tuple[Shares, ...]:
@@ -260,12 +267,14 @@ def noise_and_density(points: np.ndarray, at: np.ndarray, radius: float) -> tupl
     """Where the reference is flat, at places (n,3): the median standard deviation of a cloud's points within `radius`
     of a place from the plane that fits them, and the median number of points a unit of area. NaN where there are too
     few points."""
-    tree = cKDTree(points)
+    kept = _near(points, at, radius)
+    if not len(kept):
+        return float("nan"), float("nan")
     noise, density = [], []
-    for near in tree.query_ball_point(at, radius):
+    for near in cKDTree(kept).query_ball_point(at, radius):
         density.append(len(near) / (np.pi * radius**2))
         if len(near) >= _PATCH_POINTS:
-            patch = points[near]
+            patch = kept[near]
             values = np.linalg.eigvalsh(np.cov(patch.T))
             noise.append(float(np.sqrt(max(values[0], 0.0))))
     return (float(np.median(noise)) if noise else float("nan"), float(np.median(density)) if density else float("nan"))
@@ -274,10 +283,10 @@ def noise_and_density(points: np.ndarray, at: np.ndarray, radius: float) -> tupl
 def flat_places(reference: np.ndarray, radius: float) -> np.ndarray:
     """Places (n,3) of a cloud about which it is flattest."""
     chosen = np.random.default_rng(0).choice(len(reference), min(_PATCHES, len(reference)), replace=False)
-    tree = cKDTree(reference)
+    kept = _near(reference, reference[chosen], 2 * radius)
     flatness = []
-    for near in tree.query_ball_point(reference[chosen], 2 * radius):
-        values = np.linalg.eigvalsh(np.cov(reference[near].T)) if len(near) >= _PATCH_POINTS else np.array([1.0, 1, 1])
+    for near in cKDTree(kept).query_ball_point(reference[chosen], 2 * radius):
+        values = np.linalg.eigvalsh(np.cov(kept[near].T)) if len(near) >= _PATCH_POINTS else np.array([1.0, 1, 1])
         flatness.append(values[0] / max(values[1], 1e-30))
     order = np.argsort(flatness)
     places: np.ndarray = reference[chosen[order[: max(int(_FLAT * len(order)), 1)]]]

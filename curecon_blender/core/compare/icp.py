@@ -13,6 +13,9 @@ from .geometry import Similarity, Thin, turned
 _ROUNDS = 24
 _LEAST = 20  # pairs
 _ALONG = 0.5  # cosine that the normals of a pair have in common, at least
+_WIDE = 4.0  # reaches, within which partners are sought at first
+_AROUND, _OFF = 3.0, 0.7  # reaches within which a missing partner tells against a motion, if so much is along a normal
+_SURFACE = 3.0  # times what two thinned halves of one cloud lie off each other: still the same surface
 
 
 @dataclass(frozen=True)
@@ -27,11 +30,23 @@ class Fine:
     reach: float
 
 
-def refine(source: Thin, target: Thin, start: Similarity, reach: float, *, scaled: bool, rounds: int = _ROUNDS) -> Fine:
-    """From a start that is right to within some times `reach`, which shrinks to it from four times."""
+@dataclass(frozen=True)
+class Evidence:
+    """For and against a motion: the shares of the source's points that lie on the target's surface, and that lie near
+    it but off it. What lies beside the target says nothing."""
+
+    on: float
+    off: float
+
+
+def refine(
+    source: Thin, target: Thin, start: Similarity, reach: float, *, scaled: bool, rounds: int = _ROUNDS,
+    wide: float = _WIDE,
+) -> Fine:
+    """From a start that is right to within `wide` times `reach`, which shrinks to it."""
     motion = start
     for step in range(rounds):
-        within = reach * max(4 * 0.75**step, 1.0)
+        within = reach * max(wide * 0.75**step, 1.0)
         pairs = _pairs(source, target, motion, within, mutual=scaled)
         if len(pairs[0]) < _LEAST:
             break
@@ -55,6 +70,29 @@ def measured(source: Thin, target: Thin, motion: Similarity, reach: float) -> Fi
     met = source.tree.query(back.apply(target.points), distance_upper_bound=reach / motion.scale)[0]
     return Fine(motion, len(mine) / len(source.points), float(np.isfinite(met).mean()),
                 float(np.sqrt((off**2).mean())), reach)
+
+
+def thickness(first: Thin, second: Thin) -> float:
+    """How far two thinned halves of one cloud lie off each other, at most, where they are the same surface."""
+    mine, theirs = _pairs(first, second, Similarity.identity(), np.inf, mutual=False)
+    if not len(mine):
+        return 0.0
+    off = ((first.points[mine] - second.points[theirs]) * second.normals[theirs]).sum(axis=1)
+    return _SURFACE * float(np.percentile(np.abs(off), 68))
+
+
+def evidence(source: Thin, target: Thin, motion: Similarity, reach: float, thick: float) -> Evidence:
+    """What the clouds say of a motion; `thick` is what a surface may lie off itself, in the target's units."""
+    moved = motion.apply(source.points)
+    distance, nearest = target.tree.query(moved, distance_upper_bound=_AROUND * reach)
+    near = np.flatnonzero(np.isfinite(distance))
+    normals = target.normals[nearest[near]]
+    off = np.abs(((moved[near] - target.points[nearest[near]]) * normals).sum(axis=1))
+    alike = np.abs((source.normals[near] @ motion.rotation.T * normals).sum(axis=1)) > _ALONG
+    close = distance[near] <= reach
+    on = close & alike & (off <= thick)
+    against = (close & ~on) | (~close & (off > _OFF * distance[near]))
+    return Evidence(float(on.sum()) / len(moved), float(against.sum()) / len(moved))
 
 
 def _pairs(

@@ -27,6 +27,7 @@ _BINS = 5
 _NEIGHBOURS = 60
 _SLACK = 0.05  # of a distance, where the scale is open
 _TURNS = 36
+_SLIDES, _SLIDE = 8, 0.6  # to either side, and up to what share of the source's length
 _CLEAR, _CLEAR_AGAINST = 0.7, 0.05  # shares that leave no need to try another scale
 _TELLING = 50  # partners whose colours say something
 _DISTINCT_ANGLE, _DISTINCT_SHIFT = 8.0, 6.0  # degrees, voxels: from there on two motions are two
@@ -38,12 +39,13 @@ Coloured = tuple[np.ndarray, np.ndarray | None]  # points (N,3) float64, their c
 @dataclass(frozen=True)
 class Guess:
     """A motion: of the source's voxels the shares that have a partner, and that lie off the target's surface;
-    `score` puts both together, times the area that is met."""
+    `colours` is 1 where they say nothing, more where they agree; `score` puts all together, times the area met."""
 
     motion: Similarity
     partners: float
     against: float
     score: float
+    colours: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -72,10 +74,11 @@ def search(source: Coloured, target: Coloured, scales: Sequence[float], *, scale
     best, scale = max(found, key=lambda one: one[0].score)
     a = _described(_grid(source, voxel, scale))
     same_scale = [guess for guess, of in found if of == scale]
-    others = _distinct([*same_scale, *_turns(a.thin, b.thin, best, voxel, scaled=scaled)], a.thin.points, voxel)
+    alike = _alike_motions(a.thin, b.thin, best, voxel, scaled=scaled)
+    others = _distinct([*same_scale, *alike], a.thin.points, voxel)
     best = others[0]
     middle = a.thin.points.mean(axis=0)
-    kept = [other for other in others if _differ(other.motion, best.motion, middle, voxel)]
+    kept = [other for other in others if differ(other.motion, best.motion, middle, voxel)]
     first, *rest = (
         replace(one, motion=Similarity(one.motion.scale * scale, one.motion.rotation, one.motion.translation))
         for one in (best, *kept))
@@ -201,7 +204,8 @@ def scored(source: Thin, target: Thin, motion: Similarity, voxel: float) -> Gues
     partners = float(partner.mean())
     # A source of another scale has other voxels: what counts is the area that is met.
     score = (partners - 0.5 * len(lonely) / len(moved) - 0.5 * against) * len(moved) * motion.scale**2
-    return Guess(motion, partners, against, score * _colours_agree(source, target, partner, nearest))
+    colours = _colours_agree(source, target, partner, nearest)
+    return Guess(motion, partners, against, score * colours, colours)
 
 
 def _colours_agree(source: Thin, target: Thin, partner: np.ndarray, nearest: np.ndarray) -> float:
@@ -218,34 +222,46 @@ def _distinct(found: Sequence[Guess], points: np.ndarray, voxel: float) -> list[
     kept: list[Guess] = []
     middle = points.mean(axis=0)
     for guess in sorted(found, key=lambda one: -one.score):
-        if all(_differ(guess.motion, other.motion, middle, voxel) for other in kept):
+        if all(differ(guess.motion, other.motion, middle, voxel) for other in kept):
             kept.append(guess)
     return kept
 
 
-def _differ(one: Similarity, other: Similarity, middle: np.ndarray, voxel: float) -> bool:
+def differ(one: Similarity, other: Similarity, middle: np.ndarray, voxel: float) -> bool:
     """Whether two motions lay a cloud about `middle` (3,) differently."""
     shift = np.linalg.norm(one.apply(middle[None])[0] - other.apply(middle[None])[0])
     return angle_of(one.rotation.T @ other.rotation) > _DISTINCT_ANGLE or float(shift) > _DISTINCT_SHIFT * voxel
 
 
-def _turns(source: Thin, target: Thin, best: Guess, voxel: float, *, scaled: bool) -> list[Guess]:
-    """Other motions that fit because what is there looks alike from several sides: the best one turned about the axes
-    of the target's normals, as a ring's or a square's middle has them."""
+def _alike_motions(source: Thin, target: Thin, best: Guess, voxel: float, *, scaled: bool) -> list[Guess]:
+    """Other motions that fit because what is there looks alike from several sides or places: the best one turned about
+    the axes of the target's normals, as a ring's or a square's middle has them, and slid along them, as on a wall."""
     found: list[Guess] = []
     normals = target.normals
     for axis in np.linalg.eigh(normals.T @ normals)[1].T:
         centre = _centre(target, axis)
-        scores = []
-        for turn in range(1, _TURNS):
-            rotation = turned(axis * 2 * np.pi * turn / _TURNS)
-            motion = Similarity(1.0, rotation, centre - rotation @ centre).after(best.motion)
-            scores.append(scored(source, target, motion, 2 * voxel))
-        peaks = [one for place, one in enumerate(scores) if one.score > 0.5 * best.score
-                 and one.score >= max(other.score for other in scores[max(place - 1, 0) : place + 2])]
-        for peak in sorted(peaks, key=lambda one: -one.score)[:4]:
-            fine = refine(source, target, peak.motion, _NEAR * voxel, scaled=scaled, rounds=12)
-            found.append(scored(source, target, fine.motion, voxel))
+        turns = [turned(axis * 2 * np.pi * turn / _TURNS) for turn in range(1, _TURNS)]
+        found += _peaks(source, target, best, [Similarity(1.0, turn, centre - turn @ centre) for turn in turns], voxel,
+                        scaled=scaled)
+        along = source.points @ (best.motion.rotation.T @ axis) * best.motion.scale
+        step = max(_DISTINCT_SHIFT * voxel, _SLIDE * float(np.ptp(along)) / _SLIDES)
+        slides = [slide for slide in range(-_SLIDES, _SLIDES + 1) if slide]
+        found += _peaks(source, target, best, [Similarity(1.0, np.eye(3), axis * step * slide) for slide in slides],
+                        voxel, scaled=scaled)
+    return found
+
+
+def _peaks(
+    source: Thin, target: Thin, best: Guess, changes: Sequence[Similarity], voxel: float, *, scaled: bool
+) -> list[Guess]:
+    """The best motion changed by each of a row of changes: those that score better than their neighbours, refined."""
+    scores = [scored(source, target, change.after(best.motion), 2 * voxel) for change in changes]
+    peaks = [one for place, one in enumerate(scores) if one.score > 0.5 * best.score
+             and one.score >= max(other.score for other in scores[max(place - 1, 0) : place + 2])]
+    found = []
+    for peak in sorted(peaks, key=lambda one: -one.score)[:4]:
+        fine = refine(source, target, peak.motion, _NEAR * voxel, scaled=scaled, rounds=12)
+        found.append(scored(source, target, fine.motion, voxel))
     return found
 
 

@@ -102,7 +102,7 @@ def compare(
         shown.append(Shown(result.name, cloud.places, cloud.colours, None if cloud is against else to_reference,
                            _cells(figures, wishes)))
         if cloud is not against and not wishes.change:
-            _write_cloud(folder / f"{_file_name(result.name, number)}{SUFFIX}", cloud, base.offset, to_reference,
+            _write_cloud(_file_of(folder, result.name, number), cloud, base.offset, to_reference,
                          np.zeros(len(to_reference)))
         reporter.progress(number + 1, len(entries))
     record: dict[str, Any] = {"reference": reference.name, "results": [_plain(one) for one in made]}
@@ -113,7 +113,10 @@ def compare(
     title = f"{base.name} beside {', '.join(one.name for one in results) or reference.name}"
     png, pdf = write_sheet(folder, shown, _head(wishes), title, notes[:4], 2 * max(wishes.thresholds), "m")
     write_json(folder / FILE, record)
-    return {"compare": record, "files": [str(png), str(pdf), str(folder / FILE)], "warnings": reporter.warnings}
+    clouds = [str(_file_of(folder, result.name, number)) for number, (result, how, cloud) in enumerate(entries)
+              if (how is not None if wishes.change else cloud is not against)]
+    return {"compare": record, "sheet": str(png), "files": [str(png), str(pdf), str(folder / FILE)], "clouds": clouds,
+            "warnings": reporter.warnings}
 
 
 def _lay(base: Result, other: Result, wishes: Wishes, number: int) -> Laid:
@@ -176,7 +179,7 @@ def _change(base: Result, other: Result, how: Laid, folder: Path, wishes: Wishes
     found = distances.signed(ours, theirs, places=places, normals=normals, width=_WIDTH * spacing,
                              depth=_DEPTH * spacing, registration=registration)
     core = _Placed(places, places, None, False)
-    _write_cloud(folder / f"{_file_name(other.name, number)}{SUFFIX}", core, base.offset, found.distance, found.limit)
+    _write_cloud(_file_of(folder, other.name, number), core, base.offset, found.distance, found.limit)
     known = found.known
     return {
         "name": other.name, "places": len(places), "comparable": _share(known), "registration": registration,
@@ -209,9 +212,9 @@ def _write_cloud(path: Path, cloud: _Placed, offset: np.ndarray, distance: np.nd
     write_ply(path, {"vertex": rows}, ["CU-Recon", "shift " + " ".join(f"{number:.4f}" for number in offset)])
 
 
-def _file_name(name: str, number: int) -> str:
+def _file_of(folder: Path, name: str, number: int) -> Path:
     plain = "".join(letter if letter.isalnum() and letter.isascii() else "_" for letter in name)[:40].strip("_")
-    return f"{number}_{plain or 'result'}"
+    return folder / f"{number}_{plain or 'result'}{SUFFIX}"
 
 
 def _head(wishes: Wishes) -> list[str]:

@@ -1,12 +1,18 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Points of a Tulou, a façade and a ruin, each cloud sampled anew, as two programs see one building."""
+"""Points of a Tulou (the sample site's truth, and a drawn ring), a façade and a ruin, each cloud sampled anew, as two
+programs see one building."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 
 from curecon_blender.core.compare.geometry import Similarity, turned
+
+_TRUTH = Path(__file__).parents[1] / "samples" / "tulou" / "truth" / "cloud.npz"
 
 
 def _plate(rng: np.random.Generator, count: int, corner: tuple, u: tuple, v: tuple) -> np.ndarray:
@@ -76,7 +82,15 @@ def ruin(rng: np.random.Generator, density: float = 40.0) -> np.ndarray:
     return kept
 
 
-SCENES = {"ring": ring, "facade": facade, "ruin": ruin}
+def tulou(rng: np.random.Generator, count: int = 80_000) -> np.ndarray:
+    """True points of the sample site."""
+    with np.load(_TRUTH) as truth:
+        points = truth["points"].T
+        return np.asarray(points[rng.choice(len(points), count, replace=False)] * float(truth["unit"]))
+
+
+SCENES: dict[str, Callable[[np.random.Generator], np.ndarray]] = {
+    "tulou": tulou, "ring": ring, "facade": facade, "ruin": ruin}
 
 
 def pair(
