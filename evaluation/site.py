@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The sample site's report: cameras, depth maps and cloud of one or more workspaces against the exact truth.
 
-    python -m evaluation.site WORKSPACE [WORKSPACE ...] SITE [--depth FOLDER] [--radius 32] [--json]
+    python -m evaluation.site WORKSPACE [WORKSPACE ...] SITE [--depth FOLDER] [--radius 32] [--json] [--truth-ply FILE]
 
 SITE is the sample's folder, such as samples/tulou, with truth/cameras.txt, images.txt, origin.json and cloud.npz.
 FOLDER holds its exact depth maps (`python samples/make_site.py depth --out FOLDER`); without it depth is not measured.
@@ -30,6 +30,7 @@ import numpy as np
 
 from curecon_blender.core.base.errors import CuReconError, WorkspaceError
 from curecon_blender.core.base.options import Options
+from curecon_blender.core.base.ply import row_type, table, write_ply
 from curecon_blender.core.base.records import Component, GeoPosition, View
 from curecon_blender.core.compare.geometry import Similarity
 from curecon_blender.core.depth.maps import read_depth
@@ -167,6 +168,13 @@ def _cloud_errors(cloud: Path, to_truth: Similarity, site: Path, radius: float |
     return cloud_metrics.cloud_errors(cloud_metrics.thin(points, VOXEL), truth, THRESHOLDS, MAX_DISTANCE)
 
 
+def write_truth(workspace: Path, site: Path, path: Path) -> None:
+    """The true cloud in a workspace's frame, as PLY: for `compare --truth`. Raises WorkspaceError."""
+    from_truth = align_cameras(read_centres(workspace), read_centres(site / "truth")).inverse()
+    places = from_truth.apply(cloud_metrics.read_points(site / "truth" / "cloud.npz"))
+    write_ply(path, {"vertex": table(row_type([("x", "<f4"), ("y", "<f4"), ("z", "<f4")]), {"x y z": places})})
+
+
 def text(reports: list[SiteReport]) -> str:
     """The reports side by side, for people."""
     names = {report.workspace: Path(report.workspace).name for report in reports}
@@ -200,9 +208,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("site", type=Path, metavar="SITE")
     parser.add_argument("--depth", type=Path, help="folder with the exact depth maps")
     parser.add_argument("--radius", type=float, help="metres about the origin (default: that of the true cloud)")
+    parser.add_argument("--truth-ply", type=Path, metavar="FILE",
+                        help="also write the true cloud in the first workspace's frame, for compare --truth")
     parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
     args = parser.parse_args(arguments)
     try:
+        if args.truth_ply is not None:
+            write_truth(args.workspaces[0], args.site, args.truth_ply)
         reports = [report(workspace, args.site, args.depth, args.radius) for workspace in args.workspaces]
     except CuReconError as error:
         print(f"{error.message}\n{error.remedy}", file=sys.stderr)

@@ -98,10 +98,9 @@ def test_a_result_in_feet_is_named(ruin: tuple) -> None:
         align.find(ours, result_of("theirs", other.about(np.zeros(3)) / 0.3048), scaled=False)
 
 
-@pytest.mark.parametrize("name", ["facade", "ruin"])
-def test_where_little_is_shared_nothing_is_sure_and_nothing_is_made_up(name: str) -> None:
+def test_where_little_is_shared_nothing_is_sure_and_nothing_is_made_up() -> None:
     """A tenth is shared: what is found is wrong, or cannot be known to be right; nor is it mirrored or in feet."""
-    ours, other, _, _ = _pair(name, 0.1)
+    ours, other, _, _ = _pair("facade", 0.1)
     try:
         laid = align.find(ours, other, scaled=False)
     except CompareError as error:

@@ -4,10 +4,12 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
-from test_extension import blender, run_alone  # noqa: F401
+from test_extension import blender, run_script  # noqa: F401
 
 
 def test_a_compared_cloud_shows_how_far_it_lies(blender: Path, tmp_path: Path) -> None:  # noqa: F811
-    run_alone(blender, "check_comparison.py", tmp_path)
+    (tmp_path / "work").mkdir()
+    run_script(blender, "check_comparison.py", tmp_path / "work", Path(sys.executable), resources=tmp_path / "user")

@@ -23,7 +23,7 @@ learn({
     when: "When", who: "Who", what: "What", older: "Older", place: "Exact place", placeAsked: "Site's name in its address", exactPlace: "{}, {}",
     did_upload: "began an upload", did_drop: "gave an upload up", did_hold: "uploaded", did_accepted: "accepted", did_refused: "refused",
     did_withdrawn: "withdrew", did_remove: "took down", did_place: "asked for an exact place", did_invite: "invited", did_join: "joined",
-    did_sign_in: "signed in", did_token: "made a token", did_revoke: "ended a token", did_password: "changed the password", did_close: "closed an account",
+    did_sign_in: "signed in", did_token: "made a token", did_revoke: "ended a token", did_password: "changed the password", did_close: "closed an account", did_survey: "opened a survey",
     answered: "The atlas answers {}. Try again later.",
   },
   zh: {
@@ -44,7 +44,7 @@ learn({
     when: "时间", who: "用户", what: "操作", older: "更早", place: "准确位置", placeAsked: "遗址在网址中的名称", exactPlace: "{}, {}",
     did_upload: "开始上传", did_drop: "放弃上传", did_hold: "完成上传", did_accepted: "收录", did_refused: "拒绝",
     did_withdrawn: "撤回", did_remove: "撤下", did_place: "查询准确位置", did_invite: "邀请", did_join: "加入",
-    did_sign_in: "登录", did_token: "新建令牌", did_revoke: "终止令牌", did_password: "更改密码", did_close: "关闭账户",
+    did_sign_in: "登录", did_token: "新建令牌", did_revoke: "终止令牌", did_password: "更改密码", did_close: "关闭账户", did_survey: "开放问卷",
     answered: "图集返回 {}。请稍后再试。",
   },
 });

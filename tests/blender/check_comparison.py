@@ -1,6 +1,7 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A compared cloud stands where ours stands, shows its distances, and is no part of the site. Argument: a folder."""
+"""A compared cloud stands where ours stands, shows its distances, and is no part of the site. Arguments: a folder, and
+the Python of the worker."""
 
 from __future__ import annotations
 
@@ -13,13 +14,15 @@ import workspace_scene
 from mathutils import Matrix
 
 import curecon_blender
+from curecon_blender import preferences
 from curecon_blender.core.base.ply import row_type, table, write_ply
 from curecon_blender.core.cloud.ply import read_cloud
 from curecon_blender.scene import comparison
 from curecon_blender.scene.points import positions
 from curecon_blender.scene.workspace import clouds_of
 
-FOLDER = Path(sys.argv[1])
+FOLDER, WORKER = map(Path, sys.argv[1:3])
+preferences.Settings.__init__.__kwdefaults__["worker_python"] = WORKER
 ROW = row_type([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1"),
                 ("distance", "<f4"), ("limit", "<f4")])
 
