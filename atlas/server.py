@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import sys
 import threading
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -30,6 +31,7 @@ from .uploads import Uploads
 
 _SWEEP = 3600  # seconds
 _MOST_CONNECTIONS = 1000
+_TURN = 0.0005  # seconds that a thread may compute while the one that answers visitors waits for its turn
 _log = logging.getLogger("atlas")
 
 
@@ -105,6 +107,7 @@ async def _sweep(parts: Parts) -> None:
 def serve(parts: Parts) -> None:
     """Until the process is told to end; then what is under way is finished first."""
     configuration = parts.configuration
+    sys.setswitchinterval(_TURN)
     uvicorn.run(
         application(parts),
         host=configuration.host,

@@ -242,6 +242,7 @@ def _visit(port: int, visitors: int, over: Event, out: Connection) -> None:
 def _send(asker: Asker, uploads: int, megabytes: int, little: dict[str, bytes], out: Connection) -> None:
     """People who upload at once, each until the site is held. Sends when the last chunk had come, when the last site
     was held, and the versions by the number of their upload."""
+    os.nice(15)  # they stand for other computers: the server's processor is not theirs
     held: dict[int, str] = {}
     sent: list[float] = []
 
