@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import asyncio
 import hmac
+import os
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -37,8 +38,8 @@ _QUARTER = 900  # seconds
 _searches = Meter(300, 300)
 _answers = Meter(20, 3600)
 # Threads of their own, so that uploads, which wait for disks, never keep a visitor waiting for one; and so few for
-# checks that many uploads that end at once take no more memory than two.
-_uploading, _checking = CapacityLimiter(8), CapacityLimiter(2)
+# checks that many uploads that end at once take no more memory than two, and leave visitors a processor.
+_uploading, _checking = CapacityLimiter(8), CapacityLimiter(1 if (os.cpu_count() or 1) < 4 else 2)
 _checks: dict[tuple[str, str], asyncio.Future[dict[str, Any]]] = {}  # under way, by account and upload
 
 
