@@ -195,16 +195,18 @@ function upload() {
 
 async function people() {
   const { accounts } = await ask("GET", "api/accounts");
-  return section("accounts", cards(accounts.map((one) => {
-    const made = card(element("span", `${one.name} · ${say(one.role)} · ${day(one.made)}`));
-    const close = () => asking(made, "closeAsked", async () => {
+  const made = element("div");
+  made.append(element("h2", say("accounts")), cards(accounts.map((one) => {
+    const shown = card(element("span", `${one.name} · ${say(one.role)} · ${day(one.made)}`));
+    const close = () => asking(shown, "closeAsked", async () => {
       await ask("DELETE", `api/accounts/${one.id}`);
       tell(say("done"));
       await draw();
     });
-    if (one.id !== me.id) made.append(buttons(button("close", close)));
-    return made;
+    if (one.id !== me.id) shown.append(buttons(button("close", close)));
+    return shown;
   })));
+  return made;
 }
 
 async function moderate() {
