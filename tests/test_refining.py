@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from curecon_blender.core.cloud.ply import Cloud
+from curecon_blender.core.surface.crossing import crossing, uncrossed
 from curecon_blender.core.surface.refine import refined
 from curecon_blender.core.surface.slivers import flipped
 from curecon_blender.core.surface.support import Support
@@ -108,3 +109,28 @@ def test_slivers_are_flipped_away_without_a_change_of_shape() -> None:
     middle = ridged[made].mean(axis=1)
     assert np.abs(middle[:, 2] - ridge(middle[:, 0])).max() == pytest.approx(
         np.abs(ridged[faces].mean(axis=1)[:, 2] - ridge(ridged[faces].mean(axis=1)[:, 0])).max())
+
+
+def test_faces_that_refinement_pushed_through_each_other_go_back() -> None:
+    """Two sheets, one above the other: where a vertex is pushed through, both stay apart in the end."""
+    vertices, faces = grid(0.5)
+    count = len(vertices)
+    before = np.concatenate([vertices, vertices + [0.1, 0.1, 0.3]]).astype(np.float32)
+    both = np.concatenate([faces, faces + count])
+    moved = before.copy()
+    moved[:, 0] += 0.01
+    middle = np.linalg.norm(vertices[:, :2], axis=1).argmin()
+    moved[middle, 2] += 0.5
+    assert crossing(moved[both], both).any()
+    made = uncrossed(before, moved, both)
+    assert not crossing(made[both], both).any()
+    assert (made == moved).all(axis=1).mean() > 0.9  # all others stay where they were moved to
+
+
+def test_faces_that_crossed_before_are_smoothed_apart() -> None:
+    vertices, faces = grid(0.5)
+    before = np.concatenate([vertices, vertices + [0.1, 0.1, 0.3]]).astype(np.float32)
+    both = np.concatenate([faces, faces + len(vertices)])
+    before[np.linalg.norm(vertices[:, :2], axis=1).argmin(), 2] += 0.5
+    assert crossing(before[both], both).any()
+    assert not (made := crossing(uncrossed(before, before, both)[both], both)).any(), made.sum()

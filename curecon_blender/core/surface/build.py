@@ -33,6 +33,7 @@ from ..cloud.ply import Cloud, joined
 from .borders import clip, smoothed
 from .clean import clean, drop_small_parts, orient, worth_keeping
 from .continuation import continued
+from .crossing import uncrossed
 from .extent import FAR, NEAR, find_building, within
 from .mesh import Mesh, MeshError
 from .poisson import poisson, read_triangles, simplify, write_triangles
@@ -250,10 +251,12 @@ def _trimmed(
 def _refined(
     vertices: np.ndarray, faces: np.ndarray, support: Support, spacing: float, options: MeshOptions
 ) -> tuple[np.ndarray, np.ndarray]:
-    vertices = refined(vertices, faces, support)
+    moved = refined(vertices, faces, support)
+    faces = flipped(moved, faces)
+    moved = uncrossed(vertices, moved, faces)
     if options.region is not None:
-        vertices = np.clip(vertices, *np.array(options.region, np.float32))
-    return clean(vertices, flipped(vertices, faces), spacing)
+        moved = np.clip(moved, *np.array(options.region, np.float32))
+    return clean(moved, faces, spacing)
 
 
 def _simplified(
