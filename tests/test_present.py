@@ -269,6 +269,18 @@ def test_a_house_stands_as_its_walls_do_and_a_round_one_as_the_map(turn: float) 
     assert footprint.wall_direction(roofs, np.ones(500)) is None
 
 
+def test_a_still_looks_at_the_side_with_measured_wall() -> None:
+    """A square building whose south wall no photo shows, and a court whose walls nobody sees from outside."""
+    towards = np.array([[0, 1, 0], [1, 0, 0], [-1, 0, 0]], float)  # north, east, west
+    places, normals = np.concatenate([10 * towards, 4 * towards]), np.concatenate([towards, -towards])
+    areas, middle = np.array([50, 20, 20, 500, 500, 500.0]), np.zeros(3)
+    side = camera_path.walled_side(places, normals, areas, middle, 145.0)
+    assert min(side, 360 - side) < 30
+    assert camera_path.walled_side(places, normals, areas, middle, 20.0) == 20.0  # hardly less shows from there
+    roof = np.tile([0, 0, 1.0], (6, 1))
+    assert camera_path.walled_side(places, roof, areas, middle, 145.0) == 145.0
+
+
 def test_an_orbit_is_even_closes_and_looks_at_the_middle() -> None:
     centre = np.array([3.0, -2, 1])
     path = camera_path.orbit(centre, 20.0, 8.0, 90.0, 100)

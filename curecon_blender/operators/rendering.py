@@ -4,7 +4,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
@@ -68,6 +69,7 @@ class RenderSeries:
     poll_message_set: Callable[..., None]
     sheet: Path | None = None  # set by `done`: the finished page, to be seen in place of the last render
     _timer: bpy.types.Timer | None = None
+    _queue: Sequence[render_scene.Shot] = ()
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -90,7 +92,7 @@ class RenderSeries:
         if event.type != "TIMER" or bpy.app.is_job_running("RENDER"):
             return {"PASS_THROUGH"}
         if self._cancelled or render_scene.find() is None:
-            self._close(context)
+            self._give_up(context)
             self.report({"WARNING"}, "Cancelled; what is finished lies in the folder.")
             return {"CANCELLED"}
         return self._guarded(context, self._go_on)
@@ -101,11 +103,11 @@ class RenderSeries:
         try:
             ended = step(context)
         except (CuReconError, RuntimeError) as error:  # Blender's own: no graphics card for EEVEE, no encoder
-            self._close(context)
+            self._give_up(context)
             self.report({"ERROR"}, running.explain(error) if isinstance(error, CuReconError) else _sentence(error))
             return {"CANCELLED"}
         except BaseException:
-            self._close(context)
+            self._give_up(context)
             raise
         return ended
 
@@ -155,7 +157,7 @@ class RenderSeries:
 
     def cancel(self, context: bpy.types.Context) -> None:
         """Blender ends the operator itself when another file is loaded or it quits."""
-        self._close(context)
+        self._give_up(context)
 
     def _start(self, context: bpy.types.Context) -> None:
         scene = context.scene
@@ -177,6 +179,14 @@ class RenderSeries:
         self._close(context)
         self.report({"INFO"}, self.done(bpy.data.scenes[self._scene_name], self._folder))
         return {"FINISHED"}
+
+    def _give_up(self, context: bpy.types.Context) -> None:
+        """End without the finished files: what was rendered to be read alone, for them, goes."""
+        self._close(context)
+        for shot in self._queue:
+            if shot.facts:
+                with suppress(OSError):  # of a folder that is gone, or that nobody may write to any more
+                    shot.file.unlink(missing_ok=True)
 
     def _close(self, context: bpy.types.Context) -> None:
         progress.running = False

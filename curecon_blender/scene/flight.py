@@ -13,7 +13,7 @@ import numpy as np
 from ..core.base.errors import SurfaceError
 from ..core.present import camera_path
 from ..core.present.camera_path import CameraPath
-from . import cameras, presentation, site
+from . import cameras, presentation, site, surface
 
 LENS, SENSOR = 35.0, cameras.SENSOR_WIDTH  # millimetres
 WIDE = 16 / 9  # a film's width over its height
@@ -47,10 +47,11 @@ def make(scene: bpy.types.Scene, kind: str, times: dict[str, datetime]) -> bpy.t
 
 def still(scene: bpy.types.Scene) -> bpy.types.Object:
     """A camera that stands still and sees what most of the site's points are about from the side that the photos were
-    taken from, in place of the one that an earlier call made; the scene looks through it. Raises SurfaceError."""
+    taken from, or, where they went around, one with much wall that they measured, in place of the one that an earlier
+    call made; the scene looks through it. Raises SurfaceError."""
     present, about = scene.curecon.present, site.box(scene, strays=FRINGE)
     from_side = cameras.side(scene, about.centre)
-    azimuth = degrees(present.start_angle) if from_side is None else from_side
+    azimuth = _walled_side(scene, about, degrees(present.start_angle)) if from_side is None else from_side
     place, rotation = look_from(about, azimuth, (present.height - 0.5) * about.height, STEEPEST)
     camera = presentation.find(scene, STILL) or presentation.put(scene, STILL, new_lens(STILL_NAME, about))
     camera.rotation_mode = "QUATERNION"
@@ -59,6 +60,17 @@ def still(scene: bpy.types.Scene) -> bpy.types.Object:
     scene.render.resolution_x, scene.render.resolution_y = FILM_SIZE
     scene.render.pixel_aspect_x = scene.render.pixel_aspect_y = 1.0
     return camera
+
+
+def _walled_side(scene: bpy.types.Scene, about: site.Box, preferred: float) -> float:
+    """The azimuth from which most measured wall of the box shows, or the preferred one."""
+    item = site.subject(scene)
+    if item is None or not surface.is_surface(item):
+        return preferred
+    places, normals, areas = surface.measured_faces(item)
+    axes = np.array([about.axis(index) for index in range(3)])
+    inside = (np.abs((places - about.centre) @ axes.T) <= about.half).all(axis=1)
+    return camera_path.walled_side(places[inside], normals[inside], areas[inside], about.centre, preferred)
 
 
 def frame_count(scene: bpy.types.Scene) -> int:

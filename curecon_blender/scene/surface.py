@@ -166,6 +166,27 @@ def surfaces_of(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     return sorted(found, key=lambda item: -len(item.data.polygons))
 
 
+def measured_faces(item: bpy.types.Object) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Places and unit normals (n,3) in the world, and areas (n,) in the mesh's units, of the faces of a surface that
+    were measured and whose colours a photo shows."""
+    data = item.data
+    count = len(data.polygons)
+    kept = np.ones(count, bool)
+    for mark in ("filled", "unseen"):
+        if mark in data.attributes and len(data.attributes[mark].data) == count:
+            told = np.empty(count, bool)
+            data.attributes[mark].data.foreach_get("value", told)
+            kept &= ~told
+    places, normals = np.empty((2, count, 3), np.float32)
+    areas = np.empty(count, np.float32)
+    for values, name in ((places, "center"), (normals, "normal"), (areas, "area")):
+        data.polygons.foreach_get(name, values.ravel())
+    to_world = np.array(item.matrix_world)
+    normals = normals[kept] @ np.linalg.inv(to_world[:3, :3])
+    length = np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    return places[kept] @ to_world[:3, :3].T + to_world[:3, 3], normals / length, areas[kept]
+
+
 def facing(data: bpy.types.Mesh) -> tuple[np.ndarray, np.ndarray]:
     """Unit normals (N,3) and areas (N,) float32 of a fair sample of a surface's triangles. Asked for all of them,
     Blender takes a tenth of a second for a million."""

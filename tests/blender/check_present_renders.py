@@ -153,6 +153,17 @@ try:
     (FOLDER / "metres" / "sparse" / "0" / record.ACCURACY_FILE).write_text(json.dumps(asdict(accuracy)))
     assert "1 check point: 12 mm in plan and 30 mm in height" in elevations.notes(scene, {})
 
+    # What ends half-way leaves no file behind that was only made to be read.
+    (OUT / "3_north_elevation.png").unlink()
+    (OUT / "3_north_elevation.png").mkdir()
+    try:
+        bpy.ops.curecon.render_elevations()
+        raise AssertionError("a folder stands in the place of a sheet")
+    except RuntimeError:
+        pass
+    assert (OUT / "1_south_elevation.png").is_file() and not list(OUT.glob("*.exr"))
+    (OUT / "3_north_elevation.png").rmdir()
+
     # A quarter turn swaps the sides; a larger scale wants a larger paper; too large a one is an error in words. In a
     # dark scene, too, sheets are drawn in the photos' light, and the surface takes the scene's again.
     # Edges are drawn when asked for: the outline alone, since the ridge is as blunt as a roof's. A ground that was laid

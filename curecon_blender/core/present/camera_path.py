@@ -16,6 +16,9 @@ from ..base.rotations import to_quaternions
 
 FINE = 4000  # samples of a flight before it is cut into frames
 SMOOTHING = 1.2  # standard deviation, in mean distances between photos
+STEEP = 0.5  # of a normal's z: what is steeper is a wall
+DIRECTIONS = 24  # from which a building is looked at
+CLEARLY = 0.8  # of the wall that shows from the best side: with so much, the preferred one stays
 SLOWEST = 0.5  # a turn counts as half the way that the flight covers, on average, while it turns as far
 
 
@@ -25,6 +28,20 @@ class CameraPath:
 
     places: np.ndarray
     rotations: np.ndarray
+
+
+def walled_side(
+    places: np.ndarray, normals: np.ndarray, areas: np.ndarray, middle: np.ndarray, preferred: float
+) -> float:
+    """From which azimuth about `middle` (3,) most outer wall shows, of faces at `places` (n,3) with unit `normals`
+    (n,3) and `areas` (n,); the preferred one where another shows hardly more."""
+    outer = ((places - middle)[:, :2] * normals[:, :2]).sum(axis=1) > 0
+    wall = outer & (np.abs(normals[:, 2]) < STEEP)
+    azimuths = preferred + 360 / DIRECTIONS * np.arange(DIRECTIONS)
+    towards = np.stack([np.sin(np.radians(azimuths)), np.cos(np.radians(azimuths))])
+    shown = areas[wall] @ np.maximum(normals[wall, :2] @ towards, 0)
+    best = int(shown.argmax())
+    return float(azimuths[0 if shown[0] >= CLEARLY * shown[best] else best] % 360)
 
 
 def orbit(
