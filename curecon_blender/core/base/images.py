@@ -113,6 +113,22 @@ def decode(image: Image.Image, path: Path, max_size: int | None = None) -> np.nd
     return rgb if size == (rgb.shape[1], rgb.shape[0]) else cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
 
 
+def read_alpha(path: Path) -> np.ndarray | None:
+    """How opaque a picture is, (H,W) uint8, upright; None for one that cannot be transparent. Raises PhotoError."""
+    with open_image(path) as image:
+        if "A" not in image.getbands() and "transparency" not in image.info:
+            return None
+        with _photo_errors(path):
+            alpha = np.array(image.convert("RGBA").getchannel("A"))
+        return alpha if image.format == "TIFF" else upright(alpha, _orientation(image))
+
+
+def upright(picture: np.ndarray, orientation: int) -> np.ndarray:
+    """A picture (H,W) uint8 turned as EXIF's orientation has it."""
+    turn = _TRANSPOSITIONS.get(orientation)
+    return picture if turn is None else np.array(Image.fromarray(picture).transpose(turn))
+
+
 def scaled_size(width: int, height: int, max_size: int | None) -> tuple[int, int]:
     """(width, height) in pixels after scaling down so that the longest side is at most `max_size`; never up."""
     longest = max(width, height)
@@ -152,6 +168,13 @@ def write_jpeg(path: Path, rgb: np.ndarray, quality: int = 95) -> None:
     Image.fromarray(np.ascontiguousarray(rgb)).save(encoded, "JPEG", quality=quality)
     with atomic_write(path) as file:
         file.write(encoded.getbuffer())
+
+
+def encode_png(picture: np.ndarray) -> bytes:
+    """A picture (H,W) uint8 as a PNG's content."""
+    encoded = io.BytesIO()
+    Image.fromarray(picture).save(encoded, "PNG")
+    return encoded.getvalue()
 
 
 def is_text(path: Path) -> bool:

@@ -86,6 +86,9 @@ class Photo:
     underexposed: bool = False  # too much of it is black
     sky: Annotated[float, Within(0, 1)] = 0.0  # share of it that looks like sky
     digest: str = ""  # of the picture itself: the same in a copy of the file, whatever its name, place and time
+    masks: tuple[Path, ...] = ()  # files that say what of it is left out
+    mask: str = ""  # a digest of what these and its own alpha leave out; empty where nothing is
+    masked: Annotated[float, Within(0, 1)] = 0.0  # share of it that is left out
 
     @property
     def clock(self) -> datetime | None:
@@ -163,6 +166,7 @@ class View:
     lens: Lens | None = None  # of the photo itself, where its kind is known
     photo_size: tuple[_Pixels, _Pixels] | None = None
     photo_turn: Annotated[int, Within(1, 8)] = 1  # EXIF's orientation of the photo's file
+    mask: Annotated[str, INSIDE] | None = None  # picture of what masks leave of it, as `image` is; None: all
 
     @property
     def centre(self) -> np.ndarray:

@@ -21,6 +21,7 @@ from ..base.records import Component, View
 from ..network.model import MULTIPLE, Geometry, LCMMVSNet, depth_from_t
 from ..network.refinement import rasterise_points
 from ..views import sparse_points
+from ..views.masks import left_out
 from .maps import is_finished, write_depth
 from .tiles import Tile, TilePlan, kept_part, memory_budget, plan_tiles
 
@@ -234,6 +235,8 @@ def make_depth(estimator: DepthEstimator, view: View, views: dict[str, View], wo
     parts of it went without some sources, for want of memory."""
     if view.sources:
         depth, confidence = estimator.estimate(view, [(views[n], s) for n, s in view.sources])
+        if (hidden := left_out(workspace, view)) is not None:
+            depth[hidden], confidence[hidden] = 0, 0
     else:
         depth = np.zeros((view.height, view.width), np.float32)
         confidence = np.zeros((view.height, view.width), np.float16)

@@ -23,7 +23,7 @@ from ..base.geodesy import altitudes_tell
 from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.records import ELLIPSOID, SEA_LEVEL, UNKNOWN, Photo, PhotoSet, SkippedPhoto
-from . import advice, metadata, overlap, stations
+from . import advice, masks, metadata, overlap, stations
 from .find import Files, find_files, listed, remedy_for
 from .kinds import SURPLUS, Examined, find_surplus, preview_of
 
@@ -43,14 +43,16 @@ _MAX_STEM = 50  # characters of a name, so that NAME.jpg and NAME.npz stay withi
 
 
 def check_photos(
-    source: Path, reporter: Reporter, paths: list[Path] | None = None, *, surplus: bool = False
+    source: Path, reporter: Reporter, paths: list[Path] | None = None, *, surplus: bool = False,
+    drawn: Path | None = None,
 ) -> PhotoSet:
     """Find the photos in `source` (see `find_files`), decode each, and read what its metadata says.
 
     `paths` are what `find_photos` found in `source`, for a caller who has looked already: files that came since are not
     taken up, those that went are left out.
     Files that cannot be used are left out with a reason and a warning, and so are pictures that are no photos of the
-    job, unless `surplus` asks for them; blurred and badly exposed photos are used, with a warning.
+    job, unless `surplus` asks for them; blurred and badly exposed photos are used, with a warning. Masks beside the
+    photos and in the folder `drawn` say what of them is left out.
     Raises PhotoError when `source` is missing or no folder, or holds fewer than MIN_PHOTOS usable photos.
     """
     files = find_files(source)
@@ -71,6 +73,7 @@ def check_photos(
         examined, left_out = _without_surplus(examined, reporter)
         skipped += left_out
     skipped += _unreadable(files, reporter)
+    _tell_of_lone_masks(files.lone_masks, reporter)
     if len(examined) < MIN_PHOTOS:
         if any(skip.reason.startswith(images.NO_MEMORY_FOR) for skip in skipped):
             raise OutOfMemory
@@ -78,6 +81,10 @@ def check_photos(
     _tell_of_xmp(examined, reporter)
     photos = with_one_datum(_with_altitudes(_with_zoom(examined), reporter), reporter)
     photos = _with_names(source, _with_sharpness(photos))
+    photos, hidden = masks.applied(photos, files.masks, drawn, reporter)
+    skipped += hidden
+    if len(photos) < MIN_PHOTOS:
+        raise _too_few(source, len(photos), skipped)
     for problem in ("blurred", "overexposed", "underexposed"):
         if names := [photo.name for photo in photos if problem in _problems(photo)]:
             text = "1 photo looks" if len(names) == 1 else f"{len(names)} photos look"
@@ -127,6 +134,7 @@ def describe(photo_set: PhotoSet) -> dict[str, Any]:
         "with_focal": sum(photo.focal_px is not None for photo in photos),
         "with_gps": sum(photo.gps is not None for photo in photos),
         "with_gimbal": sum(photo.gimbal is not None for photo in photos),
+        "masked": sum(bool(photo.mask) for photo in photos),
         "ground_sampling_distance_mm": None if distance is None else round(1000 * distance, 2),
         "taken": list(span) if span else None,
         "overlap": {"forward": forward, "side": side, "weak": list(found.weak), "unknown": found.unknown},
@@ -252,6 +260,12 @@ def _unreadable(files: Files, reporter: Reporter) -> list[SkippedPhoto]:
         reporter.warning(Text("{} not used, since this kind is not read here: {}. {}", Text(count), names,
                               Text(remedy_for(kind))))
     return [skip for skips in found.values() for skip in skips]
+
+
+def _tell_of_lone_masks(lone: list[Path], reporter: Reporter) -> None:
+    if lone:
+        reporter.warning(Text("The photos of {} masks are not there: {}. These masks say nothing.", len(lone),
+                              listed([images.shown(path) for path in lone])))
 
 
 def _tell_of_xmp(examined: list[Examined], reporter: Reporter) -> None:

@@ -15,6 +15,7 @@ from ..base.files import DELIVERABLES, JOB_FOLDERS, PRESENTATION
 from ..base.language import Text
 from ..base.options import VIDEO_SUFFIXES
 from ..base.records import SkippedPhoto
+from . import masks
 
 CARD = "dcim"  # a memory card's folder of folders of photos
 _DEEPEST, _MOST_FOLDERS = 5, 2000  # of a search for the nearest folder with photos
@@ -32,10 +33,13 @@ _REMEDIES = {
 @dataclass(frozen=True)
 class Files:
     """`pictures` are JPEG, PNG, TIFF and HEIC files, `others` all else, both in natural order of names. A HEIC beside a
-    picture of the same name is the same photo, and one of the others."""
+    picture of the same name is the same photo, and one of the others. `masks` are those of each picture, `lone_masks`
+    those whose photo is not there."""
 
     pictures: list[Path]
     others: list[Path]
+    masks: dict[Path, list[Path]]
+    lone_masks: list[Path]
 
     def unreadable(self) -> dict[str, list[SkippedPhoto]]:
         """Photos and videos that cannot be read, by kind; not those that lie beside a picture of the same name."""
@@ -87,10 +91,15 @@ def find_files(source: Path) -> Files:
     found = [path for path in files if path.suffix.lower() in images.SUFFIXES]
     if not found:
         raise _none_found(source, files)
+    sorted_out = masks.sort_out(found)
+    found = sorted_out.pictures
+    if not found:
+        raise _none_found(source, files)
     plain = {_without_suffix(path) for path in found if path.suffix.lower() not in images.HEIC_SUFFIXES}
     pictures = [path for path in found
                 if path.suffix.lower() not in images.HEIC_SUFFIXES or _without_suffix(path) not in plain]
-    return Files(pictures, sorted(set(files) - set(pictures), key=files.index))
+    others = set(files) - {*pictures, *sorted_out.lone, *(mask for ones in sorted_out.masks.values() for mask in ones)}
+    return Files(pictures, sorted(others, key=files.index), sorted_out.masks, sorted_out.lone)
 
 
 def find_videos(source: Path) -> list[Path]:

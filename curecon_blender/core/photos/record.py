@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from ..base.errors import WorkspaceError
 from ..base.files import write_json
@@ -20,9 +21,13 @@ FILE_NAME = "photos.json"
 def write_photos(workspace: Path, photo_set: PhotoSet) -> None:
     """Write `photos.json` (atomically) into the workspace folder. Raises WorkspaceError."""
     write_json(workspace / FILE_NAME, {
-        "photos": [{**asdict(photo), "path": str(photo.path)} for photo in photo_set.photos],
+        "photos": [_photo_to_json(photo) for photo in photo_set.photos],
         "skipped": [{**asdict(skip), "path": str(skip.path)} for skip in photo_set.skipped],
     })
+
+
+def _photo_to_json(photo: Photo) -> dict[str, Any]:
+    return {**asdict(photo), "path": str(photo.path), "masks": [str(mask) for mask in photo.masks]}
 
 
 def read_photos(workspace: Path) -> PhotoSet:

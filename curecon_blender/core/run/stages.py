@@ -25,7 +25,7 @@ from ..base.files import disk_errors, scratch_folder
 from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.options import DETAILS, Options
-from ..base.records import Component, PhotoSet
+from ..base.records import Component, Photo, PhotoSet
 from ..base.rotations import from_quaternion
 from ..cloud.edits import edits_key, read_edited_cloud
 from ..cloud.fuse import NoPointsError, fuse
@@ -35,7 +35,8 @@ from ..depth.estimate import estimate_depths
 from ..network import weights
 from ..photos import record as photos_record
 from ..photos.check import check_photos
-from ..photos.find import find_photos
+from ..photos.find import find_files
+from ..photos.masks import DRAWN
 from ..photos.record import read_photos, write_photos
 from ..sparse import find_cameras
 from ..surface.build import MeshOptions, build_mesh
@@ -60,6 +61,7 @@ class Job:
     photo_set: PhotoSet = field(default_factory=lambda: PhotoSet(photos=()))
     components: list[Component] = field(default_factory=list)
     files: dict[Path, tuple[int, ...]] = field(default_factory=dict)  # the photos' sizes (bytes) and times (ns)
+    masks: dict[Path, tuple[int, ...]] = field(default_factory=dict)  # the same of their masks
     key: str = ""  # of the stage just done; every stage's key takes in the one before
 
     @property
@@ -101,14 +103,19 @@ class Stage:
 
 def _photo_files(job: Job) -> dict[str, Any]:
     assert job.options.photos is not None
-    job.files = {path: _size_and_time(path) for path in find_photos(job.options.photos.absolute())}
-    return {"files": [(str(path), *facts) for path, facts in job.files.items()]}
+    found = find_files(job.options.photos.absolute())
+    job.files = {path: _size_and_time(path) for path in found.pictures}
+    beside = [mask for of_photo in found.masks.values() for mask in of_photo]
+    job.masks = {mask: _size_and_time(mask) for mask in (*beside, *sorted((job.root / DRAWN).glob("*.png")))}
+    inputs = {"files": [(str(path), *facts) for path, facts in job.files.items()]}
+    return {**inputs, "masks": [(str(path), *facts) for path, facts in job.masks.items()]} if job.masks else inputs
 
 
 def _check(job: Job) -> None:
     assert job.options.photos is not None
     photo_set = check_photos(
-        job.options.photos.absolute(), job.reporter, list(job.files), surplus=job.options.surplus
+        job.options.photos.absolute(), job.reporter, list(job.files), surplus=job.options.surplus,
+        drawn=job.root / DRAWN,
     )
     write_photos(job.root, photo_set)
 
@@ -117,13 +124,22 @@ def _load_photos(job: Job) -> None:
     """Take up the photo check's result. What follows depends on the pictures and not on where they lie: a moved or
     copied folder is checked again, and finds everything else done. Raises WorkspaceError for a record of others."""
     job.photo_set = read_photos(job.root)
-    if not {photo.path for photo in job.photo_set.photos} <= set(job.files):
+    photos = job.photo_set.photos
+    if not ({photo.path for photo in photos} <= set(job.files)
+            and {mask for photo in photos for mask in photo.masks} <= set(job.masks)):
         raise WorkspaceError(
             Text("{} names photos that are not in {}.", job.root / photos_record.FILE_NAME,
                  job.options.photos), path=job.root,
             remedy=Text("Delete the folder {} and run Reconstruct again.", job.root / 'stages'),
         )
-    job.key = key_of([{**asdict(photo), "path": None} for photo in job.photo_set.photos])
+    job.key = key_of([_of_the_picture(photo) for photo in job.photo_set.photos])
+
+
+def _of_the_picture(photo: Photo) -> dict[str, Any]:
+    """What later stages depend on of a photo."""
+    fields = {**asdict(photo), "path": None}
+    masks = {name: fields.pop(name) for name in ("masks", "mask", "masked")}
+    return {**fields, "mask": masks["mask"]} if photo.mask else fields
 
 
 # ---- sparse: where the cameras stood

@@ -26,6 +26,7 @@ from ..base.images import read_rgb, readers
 from ..base.language import Text
 from ..base.reading import build, read_json
 from ..base.records import Photo
+from ..photos import masks
 from .parallel import Step, in_order, threads
 
 SAMPLING = 4 / 3  # of a photo's sides at the quality's image size, for the scale space's first octave
@@ -75,7 +76,8 @@ def open_database(path: Path, photos: tuple[Photo, ...], settings: FeatureSettin
 
 
 def _fingerprint(photo: Photo) -> list[Any]:
-    return [photo.digest, photo.width, photo.height, photo.camera, photo.focal_px]
+    masked = [photo.mask] if photo.mask else []
+    return [photo.digest, photo.width, photo.height, photo.camera, photo.focal_px, *masked]
 
 
 def _read_record(path: Path) -> dict[str, Any]:
@@ -130,6 +132,10 @@ def extract_features(
         height, width = grey.shape
         matrix[:, :2] *= (photo.width / width, photo.height / height)  # corners at 0: no half-pixel shift
         matrix[:, 2] *= photo.width / width
+        if (left := masks.kept(photo)) is not None:
+            inside = masks.keeps(left, matrix[:, :2])
+            matrix = matrix[inside]
+            descriptors.data = descriptors.data[inside]
         return matrix, descriptors
 
     missing = missing_features(database, photos)

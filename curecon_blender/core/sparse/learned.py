@@ -23,6 +23,7 @@ from ..base.images import read_rgb
 from ..base.language import Text
 from ..base.records import Photo
 from ..base.weights import FOLDER, REMEDY, read_weights
+from ..photos import masks
 from .aliked import Aliked
 from .lightglue import LightGlue
 from .pairs import Pair
@@ -69,8 +70,20 @@ class LearnedMatcher:
             picture = read_rgb(self._photos[photo].path, IMAGE_SIZE)
             with torch.inference_mode():
                 found = self._detector(self._tensor(picture), MOST_FEATURES)
-            self._found[photo] = *found, (picture.shape[1], picture.shape[0])
+            size = picture.shape[1], picture.shape[0]
+            self._found[photo] = *self._unmasked(photo, found, size), size
         return self._found[photo]
+
+    def _unmasked(
+        self, photo: int, found: tuple[torch.Tensor, torch.Tensor], size: tuple[int, int]
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Keypoints and descriptors without those that lie in what a mask leaves out."""
+        original, (places, descriptors) = self._photos[photo], found
+        if (left := masks.kept(original)) is None:
+            return found
+        scale = np.divide((original.width, original.height), size)
+        inside = torch.from_numpy(masks.keeps(left, (places.cpu().numpy() + 0.5) * scale)).to(places.device)
+        return places[inside], descriptors[inside]
 
     def _described_turned(self, photo: int, quarters: int) -> tuple[torch.Tensor, torch.Tensor, tuple[int, int]]:
         """The same features in the picture turned by quarters against the clock."""

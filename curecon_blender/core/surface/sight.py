@@ -27,6 +27,7 @@ from ..cloud.normals import normals
 from ..cloud.ply import Cloud
 from ..cloud.sky import sky_mask
 from ..depth.maps import depth_path, read_depth
+from ..views.masks import left_out
 from .cells import STEPS, cell_numbers
 
 SURE = 0.5  # confidence from which on a photo says what is empty
@@ -89,7 +90,10 @@ class Sight:
 
     def _sky(self, view: View, picture: np.ndarray, confidence: np.ndarray) -> np.ndarray:
         if view.name not in self._skies:
-            self._skies[view.name] = np.packbits(sky_mask(picture, confidence, view.K, view.cam_from_world))
+            sky = sky_mask(picture, confidence, view.K, view.cam_from_world)
+            if (hidden := left_out(self._workspace, view)) is not None:
+                sky &= ~hidden
+            self._skies[view.name] = np.packbits(sky)
         bits = np.unpackbits(self._skies[view.name], count=confidence.size)
         return bits.view(bool).reshape(confidence.shape)
 

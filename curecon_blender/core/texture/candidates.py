@@ -16,8 +16,9 @@ from ..base.messages import Reporter
 from ..base.sampling import sample
 from ..depth.maps import read_depth
 from ..surface.mesh import Mesh
+from ..views.masks import left_out
 from .photo_sources import Source
-from .visibility import Seen, visible_faces
+from .visibility import Seen, in_camera, project, visible_faces
 
 CANDIDATES = 8  # photos kept a face
 UNSEEN = -1
@@ -82,7 +83,8 @@ def add_candidates(
     quality[_occluded(source, seen)] *= _BEHIND
     colour = sample(cv2.blur(picture, (window, window)), *seen.centre.T)
     quality[~seen.whole] *= -1
-    candidates.add(number, seen.face, quality.astype(np.float32), colour)
+    shown = ~_masked(source, seen, mesh)
+    candidates.add(number, seen.face[shown], quality[shown].astype(np.float32), colour[shown])
 
 
 def _picture(source: Source, reporter: Reporter) -> np.ndarray | None:
@@ -112,6 +114,20 @@ def _occluded(source: Source, seen: Seen) -> np.ndarray:
     column, row = seen.centre.astype(np.int64).T
     behind: np.ndarray = near[row, column] < (1 - _IN_FRONT) * seen.depth
     return behind
+
+
+def _masked(source: Source, seen: Seen, mesh: Mesh) -> np.ndarray:
+    """Whether a mask of the photo leaves out any of each face seen (n,): its middle or a corner, or what is beside."""
+    view = source.view
+    hidden = left_out(source.workspace, view)
+    if hidden is None:
+        return np.zeros(len(seen.face), bool)
+    reach = 2 * max(1, round(max(hidden.shape) / 400)) + 1
+    wide = np.asarray(cv2.dilate(hidden.astype(np.uint8), np.ones((reach, reach), np.uint8)))
+    corners = project(in_camera(mesh.vertices, view), view.K)[mesh.faces[seen.face]]
+    places = np.concatenate([corners, seen.centre[:, None]], axis=1).astype(np.int64)
+    masked: np.ndarray = wide[places[..., 1], places[..., 0]].any(axis=1)
+    return masked
 
 
 def _gradient(picture: np.ndarray) -> np.ndarray:

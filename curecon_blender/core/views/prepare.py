@@ -19,6 +19,7 @@ from ..base.records import Component, PhotoSet, View
 from ..sparse.models import lens_of, read_model
 from ..sparse.record import read_frame
 from . import sparse_points
+from .masks import write_mask
 from .scores import depth_range, matching_score, nearest_supported
 from .undistortion import undistort
 
@@ -58,6 +59,7 @@ def prepare_views(photo_set: PhotoSet, options: Options, workspace: Path, report
             camera = model.cameras[image.camera_id]
             rgb, K = undistort(images.read_rgb(photo.path), camera, options.image_size)
             images.write_jpeg(workspace / picture, rgb)
+            mask = write_mask(workspace, photo, camera, options.image_size)
             pose = image.cam_from_world().matrix()
             matched = np.zeros(len(points), bool)
             matched[[number[p.point3D_id] for p in image.get_observation_points2D()]] = True
@@ -72,7 +74,7 @@ def prepare_views(photo_set: PhotoSet, options: Options, workspace: Path, report
                 sources=tuple(sorted(scored, key=lambda s: -s[1])[: max(options.source_views, 1)]),
                 overlaps=tuple(model.images[i].name for i, _, _ in shared), original=str(photo.path),
                 points=len(inside), lens=lens_of(camera), photo_size=(camera.width, camera.height),
-                photo_turn=images.orientation(photo.path),
+                photo_turn=images.orientation(photo.path), mask=mask,
             ))
         kept = {view.name for view in views}
         components.append(Component(
