@@ -179,7 +179,8 @@ class TestFilesBesideThePhotos:
         # DJI_0 and DJI_1 lie there as JPEG, too.
         assert (kinds.count("raw"), kinds.count("other picture"), kinds.count("video"), len(kinds)) == (12, 1, 1, 14)
         assert len(warnings) == 3
-        assert any("12 raw files" in warning and "Export the raw photos as JPEG" in warning for warning in warnings)
+        assert any("12 raw files that cannot be developed here" in warning and "as JPEG" in warning
+                   for warning in warnings)
 
     def test_a_photo_that_lies_there_as_heic_and_as_jpeg_is_one(self, folder: Path) -> None:
         save(folder / "DJI_1.heic", 1, exif=exif())

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import shutil
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 from conftest import SMALL, Run, curecon
 from little_photos import HEIGHT, WIDTH, check, exif, save, scene, sound_folder
 from PIL import Image
+from test_extension import blender, run_script  # noqa: F401
 
 from curecon_blender.core.base.errors import PhotoError
 from curecon_blender.core.base.records import Photo
@@ -199,3 +201,50 @@ def test_what_a_mask_says_counts_for_what_is_made_anew(masked: tuple[Path, Run],
     before = _photo_set(workspace)[2].mask
     curecon("reconstruct", photos, "--workspace", workspace, *SMALL, "--until", "photos")
     assert _photo_set(workspace)[2].mask != before
+
+
+def test_what_stands_in_a_solid_is_masked_in_the_photos_that_show_it(
+    textured: tuple[Path, Run], tmp_path: Path
+) -> None:
+    workspace = tmp_path / "w"
+    shutil.copytree(textured[0], workspace)
+    points = read_cloud(workspace / "cloud.ply").points
+    middle = np.median(points, axis=0)
+    box = tmp_path / "box.obj"
+    corners = middle + 3 * np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    faces = ((1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4))
+    box.write_text("".join(f"v {x} {y} {z}\n" for x, y, z in corners)
+                   + "".join(f"f {a} {b} {c} {d}\n" for a, b, c, d in faces))
+    run = curecon("mask", workspace, "--solid", box)
+    assert run.code == 0 and run.summary["mask"]["photos"] >= 3, run.said
+    inside = points[(np.abs(points - middle) < 2.8).all(axis=1)]
+    outside = points[(np.abs(points - middle) > 3.6).any(axis=1)]
+    model = pycolmap.Reconstruction(workspace / "sparse" / "0")
+    hits, misses = [], []
+    for image in model.images.values():
+        camera, file = model.cameras[image.camera_id], workspace / "masks" / f"{image.name}.png"
+        if not file.is_file():
+            continue
+        left = np.asarray(Image.open(file))
+        for cloud, found in ((inside, hits), (outside, misses)):
+            seen = cloud @ image.cam_from_world().matrix()[:, :3].T + image.cam_from_world().matrix()[:, 3]
+            scale = np.divide(left.shape[::-1], (camera.width, camera.height))
+            pixel = camera.img_from_cam(seen[seen[:, 2] > 0]) * scale
+            column, row = pixel.astype(int).T
+            there = (column >= 0) & (row >= 0) & (column < left.shape[1]) & (row < left.shape[0])
+            found.append((left[row[there], column[there]] == 0).mean() if there.any() else np.nan)
+    assert np.nanmedian(hits) > 0.8 and np.nanmax(misses) < 0.2
+    assert curecon("mask", workspace, "--clear").summary["mask"]["cleared"] == run.summary["mask"]["photos"]
+    assert not list((workspace / "masks").glob("*.png"))
+    box.write_text("".join(f"v {x} {y} {z + 500}\nf 1 2 3\n" for x, y, z in corners))
+    assert "No photo shows" in curecon("mask", workspace, "--solid", box).said
+    box.write_text("".join(f"v {x} {y} {z}\n" for x, y, z in corners))
+    refused = curecon("mask", workspace, "--solid", box)
+    assert refused.code == 5 and "encloses nothing" in refused.summary["error"]
+
+
+def test_a_box_in_blender_becomes_masks(
+    blender: Path, textured: tuple[Path, Run], tmp_path: Path  # noqa: F811
+) -> None:
+    shutil.copytree(textured[0], tmp_path / "w")
+    run_script(blender, "check_masks.py", tmp_path / "w", Path(sys.executable), resources=tmp_path / "user")

@@ -49,10 +49,14 @@ class TestFoldersThatCannotBeUsed:
     def test_only_other_kinds(self, tmp_path: Path) -> None:
         for name in ("DJI_1.DNG", "DJI_2.dng", "DJI_3.MP4"):
             (tmp_path / name).write_bytes(b"not read")
-        with pytest.raises(PhotoError, match=r"2 \.DNG, 1 \.MP4") as caught:
+        with pytest.raises(PhotoError, match=r"no usable photo.*DJI_1\.DNG is no raw photo.*DJI_3\.MP4 is a video"):
             check(tmp_path)
-        assert "Export the raw photos" in caught.value.remedy
-        assert "Frames from Video" in caught.value.remedy
+        for name in ("DJI_1.DNG", "DJI_2.dng"):
+            (tmp_path / name).unlink()
+        (tmp_path / "a.bmp").write_bytes(b"not read")
+        with pytest.raises(PhotoError, match=r"1 \.BMP, 1 \.MP4") as caught:
+            check(tmp_path)
+        assert "Export them as JPEG." in caught.value.remedy and "Frames from Video" in caught.value.remedy
 
     @pytest.mark.parametrize("count", [1, 2])
     def test_one_or_two_photos(self, folder: Path, count: int) -> None:

@@ -29,6 +29,7 @@ from . import (
     libraries,
     make_model,
     mark_points,
+    mask_photos,
     measure,
     plan_flight,
     present_elevations,
@@ -54,7 +55,8 @@ CLASSES: tuple[type, ...] = (
     *frame_scale.CLASSES, *frame_level.CLASSES, *frame_north.CLASSES, *frame_ground.CLASSES, *frame_reset.CLASSES,
     *frame_position.CLASSES, *measure.CLASSES,
     *control_points.CLASSES, *mark_points.CLASSES,
-    *plan_flight.CLASSES, *find_gaps.CLASSES, *take_frames.CLASSES, *cloud_points.CLASSES, *self_check.CLASSES,
+    *plan_flight.CLASSES, *find_gaps.CLASSES, *take_frames.CLASSES, *cloud_points.CLASSES, *mask_photos.CLASSES,
+    *self_check.CLASSES,
     *libraries.CLASSES,
 )
 

@@ -37,7 +37,7 @@ STAGE_NAMES = {
     "laz": "LAZ Cloud", "copc": "COPC Cloud", "e57": "E57 Cloud", "orthomosaic": "Orthomosaic", "dsm": "Surface Model",
     "facades": "Façades", "contours": "Contours", "sections": "Sections",
     "levels": "Levels of Detail", "tiles": "Tiles", "cloud": "Point cloud", "pages": "Web Pages",
-    "gaps": "Gaps", "upload": "Upload", "read": "Reading", "lay": "Laying On", "measure": "Distances",
+    "gaps": "Gaps", "mask": "Masks", "upload": "Upload", "read": "Reading", "lay": "Laying On", "measure": "Distances",
 }
 
 OFFLINE = n_("Allow Online Access is off in Blender's preferences, under System")

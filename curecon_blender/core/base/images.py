@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The one path by which pictures are read and written: any JPEG, PNG, TIFF or HEIC in, upright 8-bit sRGB out."""
+"""The one path by which pictures are read and written: any JPEG, PNG, TIFF, HEIC or raw in, upright 8-bit sRGB out."""
 
 from __future__ import annotations
 
@@ -20,12 +20,13 @@ import numpy as np
 import pillow_heif
 from PIL import Image, ImageCms, UnidentifiedImageError
 
+from . import raw
 from .errors import PhotoError, ran_out_of_memory
 from .files import atomic_write
 from .language import Text
 
 HEIC_SUFFIXES = (".heic", ".heif", ".hif")
-SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", *HEIC_SUFFIXES)
+SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", *HEIC_SUFFIXES, *raw.SUFFIXES)
 MAX_PIXELS = 500_000_000  # four times the largest drone and phone cameras; above it a header is more likely damaged
 # A file of a few kilobytes can unpack to gigabytes. No photo is packed that tightly: a black one has 100 pixels a byte.
 BOMB_PIXELS, BOMB_PIXELS_PER_BYTE = 50_000_000, 250
@@ -72,13 +73,16 @@ def readers(pixels: int, most: int) -> int:
 
 @contextmanager
 def open_image(path: Path) -> Iterator[Image.Image]:
-    """Open a JPEG, PNG, TIFF or HEIC, whatever its suffix says, without decoding it. Raises PhotoError as `read_rgb`
-    does."""
+    """Open a JPEG, PNG, TIFF or HEIC, whatever its suffix says, or a raw photo by its suffix, without decoding it.
+    Raises PhotoError as `read_rgb` does."""
     with ExitStack() as stack:
         with _photo_errors(path):
             # Opened by Python, not by OpenCV, which cannot open every name on Windows.
             file = stack.enter_context(open(path, "rb"))
-            image = Image.open(file, formats=("JPEG", "PNG", "TIFF", "HEIF"))
+            if path.suffix.lower() in raw.SUFFIXES:
+                image: Image.Image = raw.open_raw(file, path, shown(path))
+            else:
+                image = Image.open(file, formats=("JPEG", "PNG", "TIFF", "HEIF"))
             size, pixels = os.fstat(file.fileno()).st_size, image.width * image.height
         if pixels > MAX_PIXELS:
             raise PhotoError(
@@ -244,7 +248,10 @@ def _orientation(image: Image.Image) -> int:
 
 def _draft(image: Image.Image, max_size: int | None) -> None:
     """Let libjpeg average 2, 4 or 8 pixels as it decodes: several times faster. Only where that divides evenly, and
-    what is left is scaled by nothing or by 2 and more: averaging twice by little would soften the picture."""
+    what is left is scaled by nothing or by 2 and more: averaging twice by little would soften the picture. A raw photo
+    is developed at half its size on the same terms."""
+    if isinstance(image, raw.RawImage) and max_size is not None and max(image.size) >= 4 * max_size:
+        image.halve()
     if max_size is None or image.format not in ("JPEG", "MPO"):
         return
     width, height = image.size

@@ -57,11 +57,12 @@ DETAILS = {  # beside the mesh itself: for phones, for the web, for presentation
 # The worker's commands.
 RUN, SURFACE, CHECK, REPORT = "reconstruct", "surface", "check", "report"
 CONTROL, EXPORT, PLAN, FRAMES = "control", "export", "plan", "frames"
-GAPS = "gaps"
+GAPS, MASK = "gaps", "mask"
 SELF_CHECK, LIBRARIES, PUBLISH = "self-check", "libraries", "publish"
 COMPARE, UPLOAD = "compare", "upload"
 TOKEN_VARIABLE = "CURECON_ATLAS_TOKEN"  # that an upload is made with: no other program sees it in a list
 
+MASKS_FOLDER = "masks"  # of a workspace, NAME.png each: what was marked in Blender
 GAPS_FOLDER, GAPS_FILE = "gaps", "gaps.ply"  # what `gaps` writes into a workspace
 
 # What `export` writes, and what its coordinates count from.

@@ -17,7 +17,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ..base import images
+from ..base import images, raw
 from ..base.errors import OutOfMemory, PhotoError
 from ..base.geodesy import altitudes_tell
 from ..base.language import Text
@@ -27,6 +27,7 @@ from . import advice, masks, metadata, overlap, stations
 from .find import Files, find_files, listed, remedy_for
 from .kinds import SURPLUS, Examined, find_surplus, preview_of
 
+RAW = "raw"  # kind of a file left out
 MIN_PHOTOS = 3
 MIN_SIDE = 200  # pixels: below it there is no detail to match
 SHARPNESS_SIZE = 1000  # pixels: photos are compared at this longest side, whatever the camera's resolution
@@ -67,8 +68,13 @@ def check_photos(
     finally:
         workers.shutdown(cancel_futures=True)
     examined, skipped = _without_duplicates(results)
+    raws = [skip for skip in skipped if skip.kind == RAW]
     for skip in skipped:
-        reporter.warning(Text("Left out: {}", Text(skip.reason)))
+        if skip.kind != RAW or len(raws) == 1:
+            reporter.warning(Text("Left out: {}", Text(skip.reason)))
+    if len(raws) > 1:
+        reporter.warning(Text("Left out: {} raw files that cannot be developed here: {}. Export them as JPEG with "
+                              "their maker's program.", len(raws), listed([images.shown(skip.path) for skip in raws])))
     if not surplus:
         examined, left_out = _without_surplus(examined, reporter)
         skipped += left_out
@@ -172,7 +178,7 @@ def _examine(path: Path) -> Examined | SkippedPhoto:
                 return SkippedPhoto(path=path, reason=reason)
             rgb = images.decode(image, path, SHARPNESS_SIZE)
     except PhotoError as error:
-        return SkippedPhoto(path=path, reason=error.message)
+        return SkippedPhoto(path=path, reason=error.message, kind=RAW if path.suffix.lower() in raw.SUFFIXES else "")
     photo = Photo(
         name=path.name, path=path, width=width, height=height,
         camera=f"{told.camera or 'unknown camera'} {width}x{height}", focal_px=told.focal_px,

@@ -9,7 +9,7 @@ from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..base import images
+from ..base import images, raw
 from ..base.errors import PhotoError
 from ..base.files import DELIVERABLES, JOB_FOLDERS, PRESENTATION
 from ..base.language import Text
@@ -20,20 +20,20 @@ from . import masks
 CARD = "dcim"  # a memory card's folder of folders of photos
 _DEEPEST, _MOST_FOLDERS = 5, 2000  # of a search for the nearest folder with photos
 _OTHER_KINDS = {
-    **dict.fromkeys((".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw", ".x3f"), "raw"),
-    **dict.fromkeys((".webp", ".avif", ".jxl", ".bmp", ".jp2"), "other picture"),
+    **dict.fromkeys((".webp", ".avif", ".jxl", ".bmp", ".jp2", ".x3f"), "other picture"),
     **dict.fromkeys((*VIDEO_SUFFIXES, ".avi", ".mts", ".mkv", ".insv"), "video"),
 }
 _REMEDIES = {
-    "raw": "Export the raw photos as JPEG.", "other picture": "Export them as JPEG.",
+    "other picture": "Export them as JPEG.",
     "video": "Take photos from MP4 and MOV with Frames from Video; save frames of others as JPEG.",
 }
 
 
 @dataclass(frozen=True)
 class Files:
-    """`pictures` are JPEG, PNG, TIFF and HEIC files, `others` all else, both in natural order of names. A HEIC beside a
-    picture of the same name is the same photo, and one of the others. `masks` are those of each picture, `lone_masks`
+    """`pictures` are JPEG, PNG, TIFF, HEIC and raw files, `others` all else, both in natural order of names. A HEIC
+    beside a picture of the same name is the same photo, and one of the others; so is a raw beside either.
+    `masks` are those of each picture, `lone_masks`
     those whose photo is not there."""
 
     pictures: list[Path]
@@ -95,9 +95,10 @@ def find_files(source: Path) -> Files:
     found = sorted_out.pictures
     if not found:
         raise _none_found(source, files)
-    plain = {_without_suffix(path) for path in found if path.suffix.lower() not in images.HEIC_SUFFIXES}
-    pictures = [path for path in found
-                if path.suffix.lower() not in images.HEIC_SUFFIXES or _without_suffix(path) not in plain]
+    best: dict[str, int] = {}
+    for path in found:
+        best[_without_suffix(path)] = min(_rank(path), best.get(_without_suffix(path), _rank(path)))
+    pictures = [path for path in found if _rank(path) == best[_without_suffix(path)]]
     others = set(files) - {*pictures, *sorted_out.lone, *(mask for ones in sorted_out.masks.values() for mask in ones)}
     return Files(pictures, sorted(others, key=files.index), sorted_out.masks, sorted_out.lone)
 
@@ -113,6 +114,12 @@ def find_videos(source: Path) -> list[Path]:
 
 def _without_suffix(path: Path) -> str:
     return path.with_suffix("").as_posix().casefold()
+
+
+def _rank(path: Path) -> int:
+    """Which of the files of one photo is taken: the camera's own JPEG first, a raw last."""
+    suffix = path.suffix.lower()
+    return 2 if suffix in raw.SUFFIXES else int(suffix in images.HEIC_SUFFIXES)
 
 
 def _visible(folder: Path, *, folders: bool) -> list[Path]:
@@ -150,7 +157,7 @@ def _none_found(source: Path, files: list[Path]) -> PhotoError:
     found = listed([f"{count} {kind.upper() if kind[0] == '.' else kind}" for kind, count in kinds.most_common()])
     remedy = " ".join(_REMEDIES[kind] for kind in known) or choose
     return PhotoError(
-        Text("There are no JPEG, PNG, TIFF or HEIC photos in {}, only other files: {}.", source,
+        Text("There are no JPEG, PNG, TIFF, HEIC or raw photos in {}, only other files: {}.", source,
              Text(found)), remedy=remedy,
         path=source,
     )

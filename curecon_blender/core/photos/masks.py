@@ -24,7 +24,6 @@ from ..base.messages import Reporter
 from ..base.records import Photo, SkippedPhoto
 
 FOLDERS = ("mask", "masks")  # whose pictures are masks, whatever they are called
-DRAWN = "masks"  # the workspace's own, NAME.png each: what was marked in Blender
 DARK = 128  # of 255: JPEG and smoothed edges leave nothing quite black
 SAME_SHAPE = 0.01  # relative difference of the sides' ratio
 LEAST = 0.005  # of a photo that must be left, or it is left out as a whole

@@ -24,6 +24,7 @@ from ..base.options import (
     LIBRARIES,
     LOCAL,
     LOCATIONS,
+    MASK,
     PLACEMENTS,
     PLAN,
     PUBLISH,
@@ -79,7 +80,7 @@ def parser() -> argparse.ArgumentParser:
         return added
 
     run = command(RUN, "photos to cloud; run it again to go on or to do nothing")
-    run.add_argument("photos", type=Path, help="folder of photos (JPEG, PNG, TIFF, HEIC)")
+    run.add_argument("photos", type=Path, help="folder of photos (JPEG, PNG, TIFF, HEIC, raw)")
     run.add_argument("--workspace", type=Path, required=True, help="folder for everything that is made")
     run.add_argument("--until", choices=STAGES, default=Options.until, help="stop after this stage")
     surface = command(SURFACE, "mesh and texture of a workspace whose cloud is finished")
@@ -111,6 +112,7 @@ def parser() -> argparse.ArgumentParser:
         "photos", type=Path, help="folder with the videos")
     _plan(command(PLAN, "a flight for a building, before there are photos: page, DJI and Litchi missions, KML, GPX"))
     _gaps(command(GAPS, "what of a finished site too few photos saw, and where to fly again"))
+    _mask(command(MASK, "what lies in a solid of the site is left out of all photos from the next run on"))
     _libraries(command(LIBRARIES, "bring the worker's libraries, as a lock names them, into a folder for PYTHONPATH"))
     _export_arguments(command(EXPORT, "the finished site in surveyors' formats"))
     _publish(command(PUBLISH, "the finished site as a folder of web pages, with a map of all sites in it"),
@@ -164,6 +166,14 @@ def _gaps(gaps: argparse.ArgumentParser) -> None:
                       help=f"most photos to ask for, up to {MOST_PHOTOS} (default: %(default)s)")
     gaps.add_argument("--drone", choices=sorted(DRONES), help="which drone flies (default: the photos' own camera)")
     _limits(gaps)
+
+
+def _mask(mask: argparse.ArgumentParser) -> None:
+    mask.add_argument("workspace", type=Path)
+    what = mask.add_mutually_exclusive_group(required=True)
+    what.add_argument("--solid", type=Path, metavar="FILE",
+                      help="closed mesh in the site's frame, such as a box: PLY, OBJ or GLB")
+    what.add_argument("--clear", action="store_true", help="take all masks away that were made so")
 
 
 def _limits(command: argparse.ArgumentParser) -> None:

@@ -24,7 +24,7 @@ from ..base.errors import PhotoError, SparseError, SurfaceError, WorkspaceError
 from ..base.files import disk_errors, scratch_folder
 from ..base.language import Text
 from ..base.messages import Reporter
-from ..base.options import DETAILS, Options
+from ..base.options import DETAILS, MASKS_FOLDER, Options
 from ..base.records import Component, Photo, PhotoSet
 from ..base.rotations import from_quaternion
 from ..cloud.edits import edits_key, read_edited_cloud
@@ -36,7 +36,6 @@ from ..network import weights
 from ..photos import record as photos_record
 from ..photos.check import check_photos
 from ..photos.find import find_files
-from ..photos.masks import DRAWN
 from ..photos.record import read_photos, write_photos
 from ..sparse import find_cameras
 from ..surface.build import MeshOptions, build_mesh
@@ -106,7 +105,7 @@ def _photo_files(job: Job) -> dict[str, Any]:
     found = find_files(job.options.photos.absolute())
     job.files = {path: _size_and_time(path) for path in found.pictures}
     beside = [mask for of_photo in found.masks.values() for mask in of_photo]
-    job.masks = {mask: _size_and_time(mask) for mask in (*beside, *sorted((job.root / DRAWN).glob("*.png")))}
+    job.masks = {mask: _size_and_time(mask) for mask in (*beside, *sorted((job.root / MASKS_FOLDER).glob("*.png")))}
     inputs = {"files": [(str(path), *facts) for path, facts in job.files.items()]}
     return {**inputs, "masks": [(str(path), *facts) for path, facts in job.masks.items()]} if job.masks else inputs
 
@@ -115,7 +114,7 @@ def _check(job: Job) -> None:
     assert job.options.photos is not None
     photo_set = check_photos(
         job.options.photos.absolute(), job.reporter, list(job.files), surplus=job.options.surplus,
-        drawn=job.root / DRAWN,
+        drawn=job.root / MASKS_FOLDER,
     )
     write_photos(job.root, photo_set)
 

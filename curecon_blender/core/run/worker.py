@@ -32,6 +32,7 @@ from ..base.options import (
     FRAMES,
     GAPS,
     LIBRARIES,
+    MASK,
     PLAN,
     PUBLISH,
     TOKEN_VARIABLE,
@@ -39,8 +40,8 @@ from ..base.options import (
 )
 from .command_line import about_of, choices_of, options_of, parser
 
-NEEDED = ("numpy", "PIL", "pillow_heif", "psutil", "cv2", "safetensors", "scipy", "torch", "pycolmap", "xatlas",
-          "numba")
+NEEDED = ("numpy", "PIL", "pillow_heif", "rawpy", "psutil", "cv2", "safetensors", "scipy", "torch", "pycolmap",
+          "xatlas", "numba")
 REQUIREMENTS = Path(__file__).resolve().parents[2] / "requirements.txt"
 PLAIN_LINE_EVERY = 10.0  # seconds between progress lines in a pipe
 ORPHAN_GRACE = 3.0  # seconds a worker may take to stop by itself once its parent is gone; a restart waits for it
@@ -112,10 +113,10 @@ def _run(options: argparse.Namespace, reporter: Reporter) -> dict[str, object]:
         reporter.begin({"photos": 1.0})
         reporter.stage("photos")
         return {"frames": take_frames(options.photos.absolute(), reporter), "warnings": reporter.warnings}
-    if options.command in (PLAN, GAPS):
-        from . import gaps, plan
+    if options.command in (PLAN, GAPS, MASK):
+        from . import gaps, mask, plan
 
-        return (plan.run_plan if options.command == PLAN else gaps.run_gaps)(options, reporter)
+        return {PLAN: plan.run_plan, GAPS: gaps.run_gaps, MASK: mask.run_mask}[options.command](options, reporter)
     if options.command == "check":
         return pipeline.check(options_of(options), options.thumbnails, reporter)
     if options.command == "report":
