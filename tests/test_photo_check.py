@@ -49,7 +49,7 @@ class TestFoldersThatCannotBeUsed:
     def test_only_other_kinds(self, tmp_path: Path) -> None:
         for name in ("DJI_1.DNG", "DJI_2.dng", "DJI_3.MP4"):
             (tmp_path / name).write_bytes(b"not read")
-        with pytest.raises(PhotoError, match=r"no usable photo.*DJI_1\.DNG is no raw photo.*DJI_3\.MP4 is a video"):
+        with pytest.raises(PhotoError, match=r"no usable photo.*DJI_1\.DNG is damaged.*DJI_3\.MP4 is a video"):
             check(tmp_path)
         for name in ("DJI_1.DNG", "DJI_2.dng"):
             (tmp_path / name).unlink()

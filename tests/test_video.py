@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import re
+import struct
 from pathlib import Path
 
 import cv2
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 from conftest import SITE, curecon
 from little_photos import check
+from mp4_boxes import changed, table, with_track
 
 from curecon_blender.core.base import images
 from curecon_blender.core.base.errors import Cancelled, PhotoError
@@ -161,3 +163,67 @@ def test_photos_of_a_video_are_as_large_as_its_picture(filmed: Path) -> None:
     take_frames(filmed, Reporter())
     picture = images.read_rgb(next((filmed / "DJI_1_frames").glob("*.jpg")))
     assert picture.shape[:2] == SIZE[::-1]
+
+
+# ---- videos whose index is changed, as no writer here can make them
+
+
+def test_subtitles_inside_the_video_tell_the_place_too(tmp_path: Path) -> None:
+    video = film(tmp_path / "DJI_1.MP4")
+    with_track(video, [NEWER.format(n=n, latitude=24.6581 + n * 1e-5, longitude=117.0523, second=n, altitude=350 + n)
+                       for n in range(6)])
+    reporter = Reporter()
+    assert take_frames(tmp_path, reporter)["DJI_1.MP4"] > 8 and not reporter.warnings
+    for photo in check(tmp_path)[0].photos:
+        second = int(photo.name[-10:-4]) / RATE
+        assert photo.gps is not None and photo.gps.altitude == pytest.approx(350 + second, abs=0.05)
+        assert photo.time == f"2024-06-18T12:45:{int(second):02d}"
+
+
+@pytest.mark.parametrize("spoil", ["handler", "short", "far"])
+def test_a_track_that_is_none_or_damaged_tells_nothing(tmp_path: Path, spoil: str) -> None:
+    video = film(tmp_path / "DJI_1.MP4", frames=40)
+    with_track(video, ["[latitude: 24.6] [longitude: 117.0]"] * 3, b"vide" if spoil == "handler" else b"sbtl")
+    if spoil != "handler":
+        content = video.read_bytes()
+        place = content.rindex(b"stsz") + 4
+        lie = table(0, 0, 2**31 if spoil == "short" else 3, 2**31 - 1)
+        video.write_bytes(content[:place] + lie + content[place + len(lie) :])
+    reporter = Reporter()
+    take_frames(tmp_path, reporter)
+    assert any("no GPS" in warning for warning in reporter.warnings)
+
+
+def test_each_frame_of_a_varying_rate_has_the_place_of_its_own_moment(tmp_path: Path) -> None:
+    video = film(tmp_path / "DJI_1.MP4")
+    subtitles(tmp_path / "DJI_1.SRT", NEWER, frames=300)
+
+    def slower(inner: bytes) -> bytes:  # from the 50th frame on half as fast
+        count, step = struct.unpack_from(">II", inner, 8)
+        return table(0, 2, 50, step, count - 50, 2 * step)
+
+    content = video.read_bytes()
+    index = content.rindex(b"moov") - 4
+    moov = changed(content[index:], (b"moov", b"trak", b"mdia", b"minf", b"stbl", b"stts"), slower)
+    video.write_bytes(content[:index] + moov)
+    take_frames(tmp_path, Reporter())
+    photos = check(tmp_path)[0].photos
+    assert len(photos) > 8
+    for photo in photos:
+        number = int(photo.name[-10:-4])
+        shown = number if number <= 50 else 50 + 2 * (number - 50)  # in frames of the subtitles
+        assert photo.gps is not None and photo.gps.latitude == pytest.approx(24.6581 + shown * 1e-6, abs=2.1e-6)
+
+
+def test_a_walk_towards_a_wall_gives_photos_that_overlap(tmp_path: Path) -> None:
+    ground = cv2.imread(str(SITE / "photos" / "DJI_0014.JPG"))
+    writer = cv2.VideoWriter(str(tmp_path / "walk.mp4"), cv2.VideoWriter_fourcc(*"mp4v"), RATE, SIZE)
+    for n in range(150):  # 20 metres off at first, 8 at last, with the sway of steps
+        scale = 20 / (20 - 12 * n / 149)
+        middle = np.array([600.0 + 6 * np.sin(n / 4), 450 + 4 * np.sin(n / 2)])
+        matrix = np.array([[scale, 0, SIZE[0] / 2 - scale * middle[0]], [0, scale, SIZE[1] / 2 - scale * middle[1]]])
+        writer.write(cv2.warpAffine(ground, matrix, SIZE))
+    writer.release()
+    reporter = Reporter()
+    assert 3 < take_frames(tmp_path, reporter)["walk.mp4"] < 25
+    assert any("no GPS" in warning for warning in reporter.warnings)

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from hypothesis import strategies as st
 
+from ..mp4_boxes import box, with_track
 from .mutations import spoiled_bytes, spoiled_json
 
 _RING = [[117.05, 24.66], [117.051, 24.66], [117.051, 24.661], [117.05, 24.661], [117.05, 24.66]]
@@ -58,6 +59,22 @@ def make_subtitles(folder: Path) -> None:
 
 def subtitles_cases(folder: Path) -> st.SearchStrategy[tuple[str, bytes]]:
     return st.tuples(st.just("a.srt"), spoiled_bytes(_TOLD.encode()))
+
+
+def make_track(folder: Path) -> None:
+    (folder / "a.mp4").write_bytes(box(b"ftyp", b"isom") + box(b"moov"))
+    with_track(folder / "a.mp4", [_TOLD, _TOLD])
+
+
+def track_cases(folder: Path) -> st.SearchStrategy[tuple[str, bytes]]:
+    return st.tuples(st.just("a.mp4"), spoiled_bytes((folder / "a.mp4").read_bytes()))
+
+
+def check_track(folder: Path) -> None:
+    from curecon_blender.core.photos.subtitle_track import read_track
+
+    told = read_track(folder / "a.mp4")
+    assert told is None or len(told) < 10_000
 
 
 def check_subtitles(folder: Path) -> None:

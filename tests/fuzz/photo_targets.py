@@ -15,10 +15,12 @@ import numpy as np
 from hypothesis import strategies as st
 from PIL import Image, PngImagePlugin
 
+from ..dng import write_dng
 from .mutations import exif_blocks, spoiled_bytes, spoiled_words
 from .target import PHOTO
 from .workspace_targets import check_times
 
+RAW = "DJI_0001.dng"
 XMP = (
     '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
     '<rdf:Description xmlns:drone-dji="http://www.dji.com/drone-dji/1.0/" drone-dji:AbsoluteAltitude="+349.58" '
@@ -88,6 +90,24 @@ def picture_cases(folder: Path) -> st.SearchStrategy[tuple[str, bytes]]:
 
 def make_picture(folder: Path) -> None:
     (folder / PHOTO).write_bytes(_picture("JPEG"))
+
+
+def make_raw(folder: Path) -> None:
+    pixels = np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)
+    write_dng(folder / RAW, pixels.repeat(4, 0).repeat(4, 1), camera={0x9003: (2, "2026:01:26 13:50:17")})
+
+
+def raw_cases(folder: Path) -> st.SearchStrategy[tuple[str, bytes]]:
+    sound = (folder / RAW).read_bytes()
+    return st.tuples(st.just(RAW), st.one_of(
+        spoiled_bytes(sound[:700]).map(lambda head: head + sound[len(head) :]), spoiled_bytes(sound),
+        exif_blocks(TAGS)))
+
+
+def check_raw(folder: Path) -> None:
+    from curecon_blender.core.photos import check as photos
+
+    photos._examine(folder / RAW)
 
 
 def check_picture(folder: Path) -> None:

@@ -6,12 +6,15 @@ from __future__ import annotations
 
 from .flight_targets import (
     check_subtitles,
+    check_track,
     drawn_cases,
     kml_cases,
     make_outline,
     make_subtitles,
+    make_track,
     outline_reader,
     subtitles_cases,
+    track_cases,
 )
 from .geometry_targets import (
     check_cloud,
@@ -34,7 +37,7 @@ from .geometry_targets import (
     removed_cases,
 )
 from .model_targets import check_weights, make_model, make_weights, model_cases, model_reader, weights_cases
-from .photo_targets import check_picture, make_picture, picture_cases
+from .photo_targets import check_picture, check_raw, make_picture, make_raw, picture_cases, raw_cases
 from .publish_targets import cases as publish_cases
 from .publish_targets import check_catalogue, check_figures, check_film, check_notes, film_cases, make_film
 from .publish_targets import make as make_published
@@ -63,6 +66,7 @@ from .workspace_targets import (
 
 TARGETS = {
     "pictures": Target(make_picture, picture_cases, check_picture),
+    "raw": Target(make_raw, raw_cases, check_raw),
     "cloud": Target(make_cloud, ply_cases("cloud.ply"), check_cloud),
     "mesh": Target(make_mesh, ply_cases("mesh.ply"), check_mesh),
     "gaps": Target(make_patches, ply_cases("gaps.ply"), check_patches),
@@ -87,6 +91,7 @@ TARGETS = {
     "outline_geojson": Target(make_outline, drawn_cases, outline_reader("geojson")),
     "outline_kml": Target(make_outline, kml_cases, outline_reader("kml")),
     "subtitles": Target(make_subtitles, subtitles_cases, check_subtitles),
+    "subtitle_track": Target(make_track, track_cases, check_track),
     "result_ply": Target(make_results, result_cases("a.ply", "b.ply"), result_reader("a.ply", "b.ply")),
     "result_las": Target(make_results, result_cases("a.las", "a.laz"), result_reader("a.las", "a.laz")),
     "result_mesh": Target(make_results, result_cases("a.obj", "a.glb"), result_reader("a.obj", "a.glb")),

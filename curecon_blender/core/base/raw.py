@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 import rawpy
@@ -32,7 +32,7 @@ class RawImage(ImageFile.ImageFile):
 
     def _open(self) -> None:
         assert self.fp is not None
-        self._raw, self._half = rawpy.imread(self.fp), False
+        self._raw, self._half = rawpy.imread(cast(BinaryIO, self.fp)), False
         self._size, self._mode = (self._raw.sizes.width, self._raw.sizes.height), "RGB"
         self._tags = self._read_tags()
         self._tags[ExifTags.Base.Orientation] = _TURNS.get(self._raw.sizes.flip, 1)
@@ -53,7 +53,7 @@ class RawImage(ImageFile.ImageFile):
         try:
             thumbnail = self._raw.extract_thumb()
             if thumbnail.format == rawpy.ThumbFormat.JPEG:
-                return Image.open(io.BytesIO(thumbnail.data)).getexif()
+                return Image.open(io.BytesIO(bytes(thumbnail.data))).getexif()
         except (rawpy.LibRawError, OSError):
             pass  # no thumbnail: there are no tags
         return tags

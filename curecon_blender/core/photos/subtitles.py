@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where a drone was while it filmed: the subtitles (.SRT) that DJI writes beside a video, in its dialects."""
+"""Where a drone was while it filmed: the subtitles (.SRT) that DJI writes beside a video or into it."""
 
 from __future__ import annotations
 
@@ -57,6 +57,11 @@ def read_subtitles(path: Path) -> Telemetry | None:
         raise PhotoError(Text("{} cannot be read ({}).", shown(path), Text(str(error))),
                          remedy="Copy it from the drone again.",
                          path=path) from error
+    return telemetry(text)
+
+
+def telemetry(text: str) -> Telemetry | None:
+    """What the text of an .SRT tells of positions; None where it tells none."""
     seconds, values, clocks, focal = [], [], [], None
     for block in re.split(r"\n\s*\n", text.replace("\r", "")):
         if (span := _SPAN.search(block)) is None:

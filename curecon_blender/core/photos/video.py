@@ -21,7 +21,8 @@ from ..base.images import shown
 from ..base.language import Text
 from ..base.messages import Reporter
 from .find import find_videos
-from .subtitles import read_subtitles
+from .subtitle_track import read_track
+from .subtitles import read_subtitles, telemetry
 
 STEP = 0.12  # of the picture's width, that what is seen has moved from one photo to the next: 80 % overlap and more
 LOOKED_AT = 6  # frames a second
@@ -84,6 +85,8 @@ class _Taking:
         subtitles = next((path for path in video.parent.iterdir()
                           if path.stem == video.stem and path.suffix.lower() == ".srt"), None)
         self._telemetry = read_subtitles(subtitles) if subtitles is not None else None
+        if self._telemetry is None and (track := read_track(video)) is not None:
+            self._telemetry = telemetry(track)
         if self._telemetry is None:
             reporter.warning(Text("{} has no subtitles (.SRT) that tell positions: its photos have no GPS.",
                                   shown(video)))
