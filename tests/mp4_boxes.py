@@ -41,7 +41,8 @@ def with_track(video: Path, texts: list[str], handler: bytes = b"sbtl") -> None:
     index = content.rindex(b"moov") - 4
     data = content[:index] + box(b"mdat", *samples)
     first = index + 8
-    stbl = box(b"stbl", box(b"stsd", table(0, 0)), box(b"stts", table(0, 1, len(texts), 1000)),
+    kind = box(b"stsd", table(0, 1), box(b"tx3g", bytes(7), b"\1", bytes(30)))
+    stbl = box(b"stbl", kind, box(b"stts", table(0, 1, len(texts), 1000)),
                box(b"stsc", table(0, 1, 1, len(texts), 1)), box(b"stsz", table(0, 0, len(texts), *map(len, samples))),
                box(b"stco", table(0, 1, first)))
     media = box(b"mdia", box(b"mdhd", table(0, 0, 0, 1000, 1000 * len(texts), 0)),

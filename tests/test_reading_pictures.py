@@ -54,6 +54,12 @@ class TestReadingPixels:
              quality=90, bit_depth=10)
         self.assert_same(tmp_path / "deep.heic", expected, 4)
 
+    def test_the_first_picture_of_a_heic_sequence_is_the_photo(self, tmp_path: Path) -> None:
+        first, second = (cv2.GaussianBlur(scene(seed), (0, 0), 4) for seed in (1, 2))
+        Image.fromarray(first).save(tmp_path / "x.heic", quality=90, save_all=True,
+                                    append_images=[Image.fromarray(second)])
+        self.assert_same(tmp_path / "x.heic", first, 4)
+
     @pytest.mark.parametrize("suffix", [".jpg", ".png", ".tif"])
     def test_grey(self, tmp_path: Path, suffix: str) -> None:
         grey = cv2.GaussianBlur(scene(1)[..., 0], (0, 0), 2)
