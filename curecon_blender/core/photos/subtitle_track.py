@@ -17,6 +17,10 @@ _HANDLERS = (b"sbtl", b"text", b"subt")
 _HEADER = struct.Struct(">I4s")
 
 
+class _Damaged(ValueError):
+    """A box is missing, or goes beyond what holds it: the track tells nothing."""
+
+
 def read_track(path: Path) -> str | None:
     """The video's first track of subtitles as the text of an .SRT; None where it has none that can be read."""
     try:
@@ -48,7 +52,7 @@ def _index(file: BinaryIO) -> bytes:
                 break
             return file.read(size - header)
         place += size
-    raise ValueError("no index")
+    raise _Damaged
 
 
 def _boxes(content: bytes) -> Iterator[tuple[bytes, bytes]]:
@@ -56,7 +60,7 @@ def _boxes(content: bytes) -> Iterator[tuple[bytes, bytes]]:
     while place + 8 <= len(content):
         size, kind = _HEADER.unpack_from(content, place)
         if size < 8 or place + size > len(content):
-            raise ValueError("a box goes beyond its parent")
+            raise _Damaged
         yield kind, content[place + 8 : place + size]
         place += size
 
@@ -70,7 +74,7 @@ def _one(content: bytes, *kinds: bytes) -> bytes:
     for kind in kinds:
         if found := _all(content, kind):
             return found[0]
-    raise ValueError(f"no {kinds[0]!r}")
+    raise _Damaged
 
 
 def _text(file: BinaryIO, media: bytes) -> str:
@@ -80,9 +84,9 @@ def _text(file: BinaryIO, media: bytes) -> str:
     sizes = _sizes(_one(table, b"stsz"))
     durations = _runs(_one(table, b"stts"), 2)
     counts = np.minimum(durations[:, 0], MOST_SAMPLES)
+    if not scale or not len(sizes) <= counts.sum() <= 2 * MOST_SAMPLES:
+        raise _Damaged
     lasting = np.repeat(durations[:, 1], counts)[: len(sizes)].astype(np.float64) / scale
-    if counts.sum() > 2 * MOST_SAMPLES or not scale or len(lasting) < len(sizes):
-        raise ValueError("its times are none")
     ends = np.cumsum(lasting)
     places = _places(table, sizes)
     lines = []
@@ -108,17 +112,17 @@ def _runs(box: bytes, columns: int) -> np.ndarray:
     """A table (N,columns) int64 behind its version and count."""
     count = struct.unpack_from(">I", box, 4)[0]
     if count > MOST_SAMPLES or 8 + 4 * columns * count > len(box):
-        raise ValueError("a table goes beyond its box")
+        raise _Damaged
     return np.frombuffer(box, ">u4", columns * count, 8).reshape(count, columns).astype(np.int64)
 
 
 def _sizes(box: bytes) -> np.ndarray:
     same, count = struct.unpack_from(">II", box, 4)
     if count > MOST_SAMPLES or (not same and 12 + 4 * count > len(box)):
-        raise ValueError("a table goes beyond its box")
+        raise _Damaged
     sizes = np.full(count, same, np.int64) if same else np.frombuffer(box, ">u4", count, 12).astype(np.int64)
     if sizes.sum() > MOST_TEXT:
-        raise ValueError("more text than any flight has")
+        raise _Damaged
     return sizes
 
 
@@ -128,18 +132,18 @@ def _places(table: bytes, sizes: np.ndarray) -> np.ndarray:
         box = _one(table, b"co64")
         count = struct.unpack_from(">I", box, 4)[0]
         if 8 + 8 * count > len(box):
-            raise ValueError("a table goes beyond its box")
+            raise _Damaged
         chunks = np.frombuffer(box, ">u8", count, 8).astype(np.int64)
     else:
         chunks = _runs(_one(table, b"stco"), 1)[:, 0]
     runs = _runs(_one(table, b"stsc"), 3)
     first = np.append(runs[:, 0] - 1, len(chunks))
     if not len(runs) or (np.diff(first) < 0).any() or first[0] != 0:
-        raise ValueError("its chunks are out of order")
+        raise _Damaged
     held = np.repeat(runs[:, 1], np.diff(first))
     held = np.minimum(held, len(sizes))
     if held.sum() > 2 * MOST_SAMPLES or held.sum() < len(sizes):
-        raise ValueError("its chunks hold something else")
+        raise _Damaged
     chunk = np.repeat(np.arange(len(chunks)), held)[: len(sizes)]
     before = np.cumsum(sizes) - sizes
     begins = np.searchsorted(chunk, np.arange(len(chunks)))
