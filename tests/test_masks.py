@@ -21,6 +21,7 @@ from curecon_blender.core.base.records import Photo
 from curecon_blender.core.cloud.ply import read_cloud
 from curecon_blender.core.depth.maps import read_depth
 from curecon_blender.core.photos import masks
+from curecon_blender.core.photos.check import describe
 from curecon_blender.core.photos.record import read_photos
 from curecon_blender.core.surface.mesh import read_mesh
 from curecon_blender.core.views import record
@@ -53,7 +54,7 @@ def test_masks_beside_the_photos_are_found_and_are_no_photos(tmp_path: Path, nam
     kept = [masks.kept(photo) for photo in photo_set.photos]
     assert kept[0] is None and kept[2] is None and kept[1] is not None
     assert (kept[1][LEFT] == 0).all() and kept[1][:, WIDTH // 2 :].all()
-    assert photo_set.photos[1].masked == 0.5
+    assert photo_set.photos[1].masked == 0.5 and describe(photo_set)["masked"] == 1
 
 
 def test_a_photos_own_alpha_is_a_mask_and_faint_glass_is_none(tmp_path: Path) -> None:

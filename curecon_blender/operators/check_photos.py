@@ -46,6 +46,7 @@ class CURECON_OT_check_photos(WorkerOperator, bpy.types.Operator):
         check = scene.curecon.check
         check.folder = scene.curecon.photos
         check.photos, check.cameras, check.gps = summary["photos"], summary["cameras"], summary["with_gps"]
+        check.masked = summary["masked"]
         check.taken_first, check.taken_last = summary["taken"] or ("", "")
         check.gsd_mm = summary["ground_sampling_distance_mm"] or 0.0
         overlap = summary["overlap"]

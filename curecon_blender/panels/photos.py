@@ -103,6 +103,9 @@ class CURECON_PT_photos(Panel, bpy.types.Panel):
         if check.gsd_mm:
             column.label(text=iface_("About {:.0f} mm on the ground a pixel").format(check.gsd_mm),
                          icon="DRIVER_DISTANCE")
+        if check.masked:
+            column.label(text=counted(check.masked, "{:,} photo has a mask", "{:,} photos have masks"),
+                         icon="MOD_MASK", translate=False)
         self._draw_overlap(context, box, check)
         for advice in check.advice:
             paragraph(box, context, advice.says, icon="ERROR")

@@ -69,6 +69,7 @@ class CURECON_PG_check(bpy.types.PropertyGroup):
     photos: IntProperty(name="Photos", description="Photos that can be used", min=0)
     cameras: IntProperty(name="Cameras", description="Different cameras that took them", min=0)
     gps: IntProperty(name="GPS", description="Photos that carry GPS", min=0)
+    masked: IntProperty(name="Masks", description="Photos with masks", min=0)
     taken_first: StringProperty(
         name="First Photo", description="When the first photo was taken, ISO 8601 in the camera's time; empty: unknown",
     )
