@@ -7,8 +7,8 @@
 WORKSPACE is a finished reconstruction (a mesh) of SITE's photos, DEPTHS holds their exact depth maps
 (`python samples/make_site.py depth --out DEPTHS`). Boxes as large as cars and people stand on the ground, hidden by
 what is before them, each at another place in every photo. The same mesh is textured from the photos without them, with
-them, and with them under masks. *Ghost* is the share of the mesh's pixels, seen from all photos' cameras, that differ by
-more than LIMIT of 255 in a channel from the texture without things; *covered* is the share of the photos that things
+them, and with them under masks. *Ghost* is the share of the mesh's pixels, seen from all photos' cameras, that differ
+by more than LIMIT of 255 in a channel from the texture without things; *covered* is the share of the photos that things
 cover, which is what a texture of one photo a place would hold.
 """
 

@@ -54,8 +54,12 @@ def _of_surface(scene: bpy.types.Scene, workspace: Path) -> dict[str, Any]:
             "Region is ticked, but no region box is chosen.",
             remedy="Choose or add a region box under Surface > Advanced, or untick Region.",
         )
-    # The workspace's own tell where its frame stands; a hidden one does not follow when the user moves things.
-    shown = (item for item in in_workspace(scene, workspace, [*surfaces_of(scene), *clouds_of(scene)])
-             if not item.hide_viewport)
-    bounds, turn = region.placed(properties.region, next(shown, None))
+    bounds, turn = region.placed(properties.region, reference(scene, workspace))
     return chosen | {"region": bounds, "region_turn": tuple(turn) if turn.angle > 1e-6 else None}
+
+
+def reference(scene: bpy.types.Scene, workspace: Path) -> bpy.types.Object | None:
+    """What tells where the workspace's frame stands in the scene: a cloud or surface of it that is shown, as a hidden
+    one does not follow when the user moves things."""
+    return next((item for item in in_workspace(scene, workspace, [*surfaces_of(scene), *clouds_of(scene)])
+                 if not item.hide_viewport), None)

@@ -12,8 +12,8 @@ from bpy.app.translations import pgettext_rpt as rpt_
 
 from ..core.base.options import MASK, MASKS_FOLDER
 from ..scene import solids
-from ..scene.workspace import clouds_of, in_workspace
 from . import paths, running
+from .job_options import reference
 from .running import WorkerOperator
 
 
@@ -47,9 +47,8 @@ inside the region box. Reconstruct again to have the site without it"""
 
     def arguments(self, context: bpy.types.Context) -> list[str]:
         workspace = self.workspace(context)
-        cloud = in_workspace(context.scene, workspace, clouds_of(context.scene))[0]
-        return [MASK, str(workspace), "--solid",
-                str(solids.write(solids.chosen(context), cloud, workspace / MASKS_FOLDER))]
+        solid = solids.write(solids.chosen(context), reference(context.scene, workspace), workspace / MASKS_FOLDER)
+        return [MASK, str(workspace), "--solid", str(solid)]
 
     def done(self, context: bpy.types.Context, scene: bpy.types.Scene, summary: dict[str, Any]) -> str:
         found = summary["mask"]

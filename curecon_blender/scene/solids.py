@@ -9,6 +9,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from mathutils import Matrix
 
 from ..core.base.files import atomic_write, disk_errors
 from .surface import is_ground, is_surface
@@ -26,10 +27,11 @@ def chosen(context: bpy.types.Context) -> list[bpy.types.Object]:
     return selected or ([region] if region is not None else [])
 
 
-def write(items: Iterable[bpy.types.Object], reference: bpy.types.Object, folder: Path) -> Path:
-    """Write the objects as they look, modifiers and all, in the frame of `reference`; returns the file. Raises
-    WorkspaceError."""
-    graph, back = bpy.context.evaluated_depsgraph_get(), reference.matrix_world.inverted()
+def write(items: Iterable[bpy.types.Object], reference: bpy.types.Object | None, folder: Path) -> Path:
+    """Write the objects as they look, modifiers and all, in the frame of `reference` or the world's; returns the
+    file. Raises WorkspaceError."""
+    graph = bpy.context.evaluated_depsgraph_get()
+    back = Matrix() if reference is None else reference.matrix_world.inverted()
     lines, count = [], 0
     for item in items:
         evaluated = item.evaluated_get(graph)
