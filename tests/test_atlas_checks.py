@@ -114,6 +114,10 @@ def test_sizes_are_refused_before_anything_is_sent(files: Callable[[str], dict[s
                             ({"path": "thumbnail.jpg"}, Limits()), ({}, Limits(upload=18)), ({}, Limits(files=1))):
         with pytest.raises(Problem):
             checks.manifest([{**listing[0], **changes}, listing[1]], limits)
+    film = {"path": "film.mp4", "size": 200_000_000, "sha256": "0" * 64}  # what publishing takes, too
+    checks.manifest([*listing, film], Limits())
+    with pytest.raises(Problem, match=r"film.mp4 has 200\.1 MB; 200\.0 are the most"):
+        checks.manifest([*listing, {**film, "size": 200_100_000}], Limits())
     for nothing in (None, {}, "x", [1], [listing[0]]):
         with pytest.raises(Problem):
             checks.manifest(nothing, Limits())
