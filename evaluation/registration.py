@@ -116,12 +116,18 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--ways", nargs="+", choices=WAYS, default=list(WAYS))
     parser.add_argument("--trials", type=int, default=20)
     parser.add_argument("--first-seed", type=int, default=100)
-    parser.add_argument("--json", action="store_true", help="print every trial as JSON instead of the table")
+    parser.add_argument("--json", action="store_true", help="print each trial as a line of JSON instead of the table")
     given = parser.parse_args(arguments)
-    trials = [trial(scene, way, overlap, seed, scaled=scale == "yes")
-              for scene in given.scenes for way in given.ways for scale in given.scale for overlap in given.overlaps
-              for seed in range(given.first_seed, given.first_seed + given.trials)]
-    print(json.dumps([asdict(one) for one in trials]) if given.json else table(trials))
+    kinds = [(scene, way, scale == "yes", overlap) for scene in given.scenes for way in given.ways
+             for scale in given.scale for overlap in given.overlaps]
+    trials = []
+    for seed in range(given.first_seed, given.first_seed + given.trials):
+        for scene, way, scaled, overlap in kinds:
+            trials.append(trial(scene, way, overlap, seed, scaled=scaled))
+            if given.json:
+                print(json.dumps(asdict(trials[-1])), flush=True)
+    if not given.json:
+        print(table(trials))
     return 0
 
 

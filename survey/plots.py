@@ -84,8 +84,8 @@ def _scatter(
     for tick in np.linspace(0, 1, _TICKS):
         a, b = low_x + tick * (high_x - low_x), low_y + tick * (high_y - low_y)
         draw.line([place(low_x, b), place(high_x, b)], fill=_PALE, width=2)
-        draw.text((left - 10, place(low_x, b)[1]), f"{b + 0.0:.1f}", fill=_INK, font=font, anchor="rm")
-        draw.text((place(a, low_y)[0], bottom + 10), f"{a + 0.0:.1f}", fill=_INK, font=font, anchor="ma")
+        draw.text((left - 10, place(low_x, b)[1]), f"{round(b, 1) + 0.0:.1f}", fill=_INK, font=font, anchor="rm")
+        draw.text((place(a, low_y)[0], bottom + 10), f"{round(a, 1) + 0.0:.1f}", fill=_INK, font=font, anchor="ma")
     ends = (max(low_x, low_y), min(high_x, high_y)) if diagonal else (low_x, high_x)
     draw.line([place(end, end if diagonal else 0.0) for end in ends], fill=_INK, width=2)
     for a, b in zip(x.tolist(), y.tolist(), strict=True):

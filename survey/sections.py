@@ -72,10 +72,14 @@ def items_rated(answers: Answers) -> list[str]:
     return [one.key for one in RATINGS if not np.isnan(column(answers, one.key)).all()]
 
 
+_SHORT = {  # as wide as a column
+    "clearness": "clear.", "accuracy": "accur.", "integrity": "integr.", "authenticity": "authent."}
+
+
 def figure(value: float, digits: int = 2) -> str:
     if math.isnan(value):
         return "–"
-    return f"{value:.{digits}f}" if abs(value) < _ENDLESS else Text("beyond measure")
+    return f"{round(value, digits) + 0.0:.{digits}f}" if abs(value) < _ENDLESS else Text("beyond measure")  # no -0.00
 
 
 def chance(p: float) -> str:
@@ -133,7 +137,7 @@ def _reliability(answers: Answers) -> Section:
         rows.append((result, str(found.people), figure(found.alpha), Text("{} to {}", figure(found.low),
                                                                           figure(found.high)),
                      *(figure(value) for value in found.without)))
-    head = (Text("Result"), "n", "alpha", "95 %", *(Text("without {}", item) for item in ASPECTS))
+    head = (Text("Result"), "n", "alpha", "95 %", *(Text("without {}", _SHORT[item]) for item in ASPECTS))
     return Section(
         title=Text("Reliability"), tables=(Table(title=Text("Cronbach's alpha"), head=head, rows=tuple(rows)),),
         sentences=(Text("Whether the four aspects measure one thing: from 0.7 on they may be taken together. Only who "
@@ -167,11 +171,12 @@ def _comparison(answers: Answers) -> Section:
                  figure(100 * power_paired(MEDIUM_D, n), 0), f"{100 * WANTED_POWER:.0f}", figure(least_d(n)))
     return Section(
         title=Text("Comparison"),
-        sentences=(what, Text("p is Greenhouse and Geisser's; Holm's adjusts it for all items together."), power),
+        sentences=(what, Text("p is Greenhouse and Geisser's; Holm's adjusts it for all items together; that of ranks "
+                              "is Friedman's, and Wilcoxon's of pairs."), power),
         tables=(
             Table(title=Text("Do the results differ, rated by the same people?"), rows=repeated_rows, head=(
                 Text("Item"), "n", "F", Text("df"), "epsilon", "p", Text("p, Holm"), Text("partial eta²"),
-                Text("p, Friedman"))),
+                Text("p, ranks"))),
             Table(title=Text("Do they, as if rated by different people?"), rows=one_way_rows, head=(
                 Text("Item"), Text("ratings"), "F", Text("df"), "p", "eta²")),
             _pairs(answers, items),
@@ -191,7 +196,7 @@ def _pairs(answers: Answers, items: Sequence[str]) -> Table:
                 figure(one.difference), Text("{} to {}", figure(one.low), figure(one.high)),
                 figure(one.t), chance(one.p), chance(together), chance(one.p_ranks), figure(one.d)))
     head = (Text("Item and pair"), "n", Text("differ by"), "95 %", "t", "p", Text("p, Holm"),
-            Text("p, Wilcoxon"), "d")
+            Text("p, ranks"), "d")
     return Table(title=Text("Which differ, by the same people?"), head=head, rows=tuple(rows))
 
 
