@@ -229,6 +229,16 @@ def test_what_fell_down_is_found_with_its_place_and_size() -> None:
     assert found.significant[np.abs(cores[:, 0] - 24) > 4].mean() < 0.1
 
 
+def test_what_lies_where_the_reference_does_not_reach_is_not_judged() -> None:
+    rng = np.random.default_rng(1)
+    disc = scenes._plate(rng, 4000, (-10, -10, 0), (20, 0, 0), (0, 20, 0))
+    disc = disc[np.hypot(*disc[:, :2].T) < 10]
+    points = np.array([[0.0, 0, 0.1], [9, 0, 0], [8, 8, 0], [0, 0, 5]])  # the third in its box's corner, the last above
+    assert distances.reached(points, disc, 0.2).tolist() == [True, True, False, False]
+    wall = np.column_stack([np.zeros(500), rng.random((500, 2))])
+    assert distances.reached(np.array([[0.1, 0.5, 0.5], [0.5, 0.5, 0.5]]), wall, 0.2).tolist() == [True, False]
+
+
 def test_noise_is_that_of_a_flat_wall() -> None:
     rng = np.random.default_rng(1)
     wall = np.column_stack([rng.random((40_000, 2)) * 10, rng.normal(0, 0.03, 40_000)])

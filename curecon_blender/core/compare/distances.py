@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
+from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from .geometry import one_a_voxel, voxel_numbers
 
@@ -69,6 +69,19 @@ def to_cloud(points: np.ndarray, reference: np.ndarray) -> np.ndarray:
     """Distance (N,) of each point to the nearest one of the reference."""
     distances: np.ndarray = cKDTree(reference).query(points, workers=-1)[0]
     return distances
+
+
+def reached(points: np.ndarray, reference: np.ndarray, margin: float) -> np.ndarray:
+    """Which points (N,3) lie where the reference reaches (N,): in its hull in plan and its heights, and a margin."""
+    low, high = reference.min(axis=0) - margin, reference.max(axis=0) + margin
+    inside: np.ndarray = ((points >= low) & (points <= high)).all(axis=1)
+    try:
+        sides = ConvexHull(reference[:, :2]).equations
+    except QhullError:  # a straight wall has none
+        return inside
+    for a, b, off in sides:
+        inside &= points[:, 0] * a + points[:, 1] * b + off <= margin
+    return inside
 
 
 def _near(points: np.ndarray, at: np.ndarray, radius: float) -> np.ndarray:

@@ -29,7 +29,7 @@ _BAR = 700
 @dataclass(frozen=True)
 class Shown:
     """A result in our frame: places (N,3) float64, colours (N,3) uint8 or None, distance (N,) of each place from the
-    reference or None where it is the reference, and its row of the table, one cell for each heading."""
+    reference (NaN: not measured) or None where it is the reference, and its row of the table, a cell a heading."""
 
     name: str
     places: np.ndarray
@@ -73,7 +73,7 @@ def drawn(places: np.ndarray, rgb: np.ndarray, view: View, size: tuple[int, int]
     tree = cKDTree(places[:: max(len(places) // 20_000, 1)])
     spacing = float(np.median(tree.query(tree.data[:2000], k=min(2, tree.n))[0][:, -1])) / np.sqrt(
         max(len(places) / tree.n, 1))
-    dot = int(np.clip(np.ceil(1.3 * spacing * view.scale), 1, 9))
+    dot = int(np.clip(np.ceil(2 * spacing * view.scale), 1, 9))
     shifts = np.arange(-(dot // 2), dot - dot // 2)
     dx, dy = (grid.ravel() for grid in np.meshgrid(shifts, shifts))
     columns, rows = (x[order, None] + dx).ravel(), (y[order, None] + dy).ravel()
@@ -93,17 +93,19 @@ def lit(places: np.ndarray, colours: np.ndarray | None) -> np.ndarray:
 
 
 def ramp(values: np.ndarray) -> np.ndarray:
-    """Colours (N,3) uint8 of values from 0 to 1."""
-    at = np.clip(np.nan_to_num(values, nan=1.0), 0, 1) * (len(_RAMP) - 1)
+    """Colours (N,3) uint8 of values from 0 to 1; pale where they are no numbers."""
+    at = np.clip(np.nan_to_num(values), 0, 1) * (len(_RAMP) - 1)
     colours: np.ndarray = np.stack([np.interp(at, np.arange(len(_RAMP)), _RAMP[:, c]) for c in range(3)], 1)
+    colours[np.isnan(values)] = _PALE
     return np.rint(colours).astype(np.uint8)
 
 
 def write_sheet(
-    folder: Path, shown: Sequence[Shown], head: Sequence[str], title: str, notes: Sequence[str], most: float, unit: str
+    folder: Path, shown: Sequence[Shown], about: np.ndarray, head: Sequence[str], title: str, notes: Sequence[str],
+    most: float, unit: str,
 ) -> tuple[Path, Path]:
-    """Write sheet.png and sheet.pdf: each result's colours, below them its distances up to `most`, and the table.
-    Raises WorkspaceError."""
+    """Write sheet.png and sheet.pdf: each result's colours, below them its distances up to `most`, and the table; the
+    view holds the points `about` (N,3). Raises WorkspaceError."""
     names = {one.name for one in shown} | {cell for one in shown for cell in one.cells} | {title, unit, *notes, *head}
     letters = letters_of(set(LATIN).union(*names), None)
     sheet = Image.new("RGB", (_WIDTH, _HEIGHT), "white")
@@ -114,7 +116,7 @@ def write_sheet(
     table_top = _HEIGHT - _EDGE - 46 * (len(shown) + 2) - 40 * len(notes)
     cell_width, cell_height = (_WIDTH - 2 * _EDGE) // columns, (table_top - 270) // rows
     size = (cell_width - 30, (cell_height - 70) // 2)
-    view = view_of(_few(shown[0].places), size)
+    view = view_of(_few(about), size)
     for number, one in enumerate(shown):
         x, y = _EDGE + number % _COLUMNS * cell_width, 160 + number // _COLUMNS * cell_height
         draw.text((x, y), one.name[:60], fill=_INK, font=letters.sized(42), anchor="la")

@@ -111,7 +111,8 @@ def compare(
                              for number, (one, how) in enumerate(zip(results, laid, strict=True))]
     notes = [remark for one in made for remark in one.remarks]
     title = f"{base.name} beside {', '.join(one.name for one in results) or reference.name}"
-    png, pdf = write_sheet(folder, shown, _head(wishes), title, notes[:4], 2 * max(wishes.thresholds), "m")
+    png, pdf = write_sheet(folder, shown, against.places, _head(wishes), title, notes[:4],
+                           2 * max(wishes.thresholds), "m")
     write_json(folder / FILE, record)
     clouds = [str(_file_of(folder, result.name, number)) for number, (result, how, cloud) in enumerate(entries)
               if (how is not None if wishes.change else cloud is not against)]
@@ -150,7 +151,8 @@ def _figures(
     result: Result, how: Laid | None, cloud: _Placed, against: _Placed, flat: np.ndarray, wishes: Wishes,
     minutes: float | None,
 ) -> tuple[Figures, np.ndarray]:
-    """The figures, and the distance (N,) of each place from the reference. Shares are of what lies in its box."""
+    """The figures, and the distance (N,) of each place from the reference, NaN where it does not reach. Shares are of
+    the others."""
     radius = 2 * max(wishes.thresholds)
     noise, density = distances.noise_and_density(cloud.whole, flat, radius)
     figures = Figures(name=result.name, points=len(result), minutes=minutes, shares=(), noise=noise,
@@ -158,12 +160,12 @@ def _figures(
                       remarks=(*result.remarks, *(how.remarks if how else ())))
     if cloud is against:
         return figures, np.zeros(len(cloud.places))
-    low, high = against.places.min(axis=0) - radius / 2, against.places.max(axis=0) + radius / 2
-    inside = ((cloud.places >= low) & (cloud.places <= high)).all(axis=1)
+    inside = distances.reached(cloud.places, against.places, radius / 2)
     if not inside.any():
         raise CompareError(Text("{} does not overlap the reference.", result.name), path=result.name,
                            remedy="Lay it on by pairs, or let it be found.")
-    to_reference = distances.to_cloud(cloud.places, against.places)
+    to_reference = np.full(len(cloud.places), np.nan)
+    to_reference[inside] = distances.to_cloud(cloud.places[inside], against.places)
     back = distances.to_cloud(against.places, cloud.places)
     bars = np.histogram(np.minimum(to_reference[inside], radius), _HISTOGRAM, (0, radius))[0]
     return replace(figures, histogram=tuple(bars.tolist()),
