@@ -2,7 +2,8 @@
 """A video of the sample site as a small drone would film it: `python samples/site_video.py DEPTHS OUT [--seconds 60]`.
 
 DEPTHS holds the photos' exact depth maps (`make_site.py depth`). One turn around the building, rising, written with
-DJI's subtitles as OUT/DJI_0900.MP4 and .SRT; where each frame truly was taken goes to OUT/truth.json.
+DJI's subtitles as OUT/DJI_0900.MP4 and .SRT. OUT/truth is what evaluation.site wants: where each frame was truly taken,
+by the names that `frames` gives them, and the site's true cloud.
 
 No frame is rendered: each pixel's true depth is found by drawing the photos' depth maps into the frame, its colour by
 asking the photos that see that place from the nearest directions. Rows are exposed one after another (rolling shutter),
@@ -12,7 +13,8 @@ each for a while (motion blur). Needs PyAV beside numpy, numba, opencv and pillo
 from __future__ import annotations
 
 import argparse
-import json
+import shutil
+from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
 
@@ -22,6 +24,7 @@ import numpy as np
 from numba import njit
 from PIL import Image
 from site_flight import ALTITUDE, TAKE_OFF, flight, geodetic, pose
+from site_truth import write_model
 
 WIDTH, HEIGHT, FOCAL = 1280, 720, 960.0
 RATE, READOUT, EXPOSURE = 4, 0.030, 1 / 60  # frames a second; seconds from the first row to the last, and of each row
@@ -152,7 +155,7 @@ def film(site: Site, out: Path, seconds: float, rate: int, codec: str) -> None:
     container = av.open(str(out / "DJI_0900.MP4"), "w")
     stream = container.add_stream(codec, rate=rate)
     stream.width, stream.height, stream.pix_fmt, stream.bit_rate = WIDTH, HEIGHT, "yuv420p", 8_000_000
-    count, rng, lines, truth = round(seconds * rate), np.random.default_rng(3), [], {}
+    count, rng, lines, shots = round(seconds * rate), np.random.default_rng(3), [], []
     drift = np.cumsum(rng.normal(0, 0.02, (count, 3)), axis=0)
     for n in range(count):
         start = n / rate
@@ -160,8 +163,8 @@ def film(site: Site, out: Path, seconds: float, rate: int, codec: str) -> None:
         picture = picture + rng.normal(0, 2.0, (HEIGHT, WIDTH, 1))
         middle = at((start + READOUT / 2) / seconds)
         eye = np.linalg.inv(middle)[:3, 3]
-        truth[n] = eye.tolist()
         latitude, longitude, altitude = geodetic((eye + drift[n] + rng.normal(0, 0.1, 3))[None])[0]
+        shots.append(replace(site.shots[0], name=f"DJI_0900_{n:06d}.jpg", cam_from_world=middle))
         lines.append(_subtitle(n, rate, latitude, longitude, altitude))
         frame = av.VideoFrame.from_ndarray(np.clip(picture, 0, 255).astype(np.uint8), format="rgb24")
         for packet in stream.encode(frame):
@@ -172,7 +175,9 @@ def film(site: Site, out: Path, seconds: float, rate: int, codec: str) -> None:
         container.mux(packet)
     container.close()
     (out / "DJI_0900.SRT").write_text("\n".join(lines))
-    (out / "truth.json").write_text(json.dumps(truth))
+    write_model(shots, f"PINHOLE {WIDTH} {HEIGHT} {FOCAL} {FOCAL} {WIDTH / 2} {HEIGHT / 2}", out / "truth")
+    for name in ("cloud.npz", "origin.json"):
+        shutil.copy(PHOTOS.parent / "truth" / name, out / "truth")
 
 
 def _subtitle(n: int, rate: int, latitude: float, longitude: float, altitude: float) -> str:
