@@ -8,9 +8,10 @@ SITE/truth/looks holds 24 views: 12 at eye level about the building and in its c
 into the truth's frame by the cameras and drawn from each. Of the pixels that truly show the building: *right* is where
 the mesh lies within 10 or 20 cm of the true surface there (the distance along the ray, times the cosine at which the
 ray meets the true surface, at least 0.2), *empty* where one sees no mesh, or only what lies more than a metre behind;
-*wrong* all else, and *unmarked* what of that is marked neither as filled nor as weak. PSNR (dB) and SSIM of the colours
-count the pixels right within 20 cm, after one gain for each channel over all views. The textured mesh is taken where
-there is one, else mesh.ply with its vertex colours. `--out` keeps pictures: truth, mesh, and right (grey), wrong (red),
+*wrong* all else, and *unmarked* what of that is marked neither as filled nor as weak. *Hidden* is what of the empty
+lies more than 0.4 m from SITE/truth/cloud.npz, the places that three photos see or more. PSNR (dB) and SSIM of the
+colours count the pixels right within 20 cm, after one gain for each channel over all views. The textured mesh is taken
+where there is one, else mesh.ply with its vertex colours. `--out` keeps pictures: truth, mesh, and right (grey), wrong (red),
 empty (blue).
 """
 
@@ -23,6 +24,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import cKDTree
 from skimage.metrics import structural_similarity
 
 from curecon_blender.core.base import images
@@ -32,10 +34,12 @@ from curecon_blender.core.surface.mesh import Mesh, mesh_file, read_mesh, textur
 from curecon_blender.core.texture.rendering import psnr, render
 
 from .alignment import align_cameras, read_centres
+from .cloud_metrics import read_points
 
 NEAR, NEARER = 0.2, 0.1  # metres: right
 BEHIND = 1.0  # metres behind the true surface from which on one looks through a hole
 LEAST_COSINE = 0.2
+FAR = 0.4  # metres
 EYE_LEVEL = 12  # the first views
 _ELSEWHERE = 0xFFFF
 
@@ -49,17 +53,20 @@ class Looks:
     wrong: float
     unmarked: float
     empty: float
+    hidden: float
     psnr: float
     ssim: float
 
 
 @dataclass(frozen=True)
 class Truth:
-    """The views with z-depth (V,H,W) in metres: 0 in the sky, infinite beyond the building, where nothing counts."""
+    """The views with z-depth (V,H,W) in metres: 0 in the sky, infinite beyond the building, where nothing counts; and
+    which places (V,H,W) bool no three photos see."""
 
     views: tuple[View, ...]
     depth: np.ndarray
     pictures: np.ndarray
+    hidden: np.ndarray
 
 
 def read_truth(site: Path) -> Truth:
@@ -73,7 +80,19 @@ def read_truth(site: Path) -> Truth:
     views = tuple(View(name=f"{number + 1:02d}.jpg", image=f"{number + 1:02d}.jpg", width=width, height=height, K=K,
                        cam_from_world=pose[:3], near=0.1, far=1000.0, sources=())
                   for number, pose in enumerate(poses))
-    return Truth(views, depth, np.stack([images.read_rgb(folder / view.image) for view in views]))
+    seen = cKDTree(read_points(site / "truth" / "cloud.npz"))
+    hidden = np.stack([_far(view, true, seen) for view, true in zip(views, depth, strict=True)])
+    return Truth(views, depth, np.stack([images.read_rgb(folder / view.image) for view in views]), hidden)
+
+
+def _far(view: View, true: np.ndarray, seen: cKDTree) -> np.ndarray:
+    """Which of the building's pixels (H,W) bool show a place that lies farther than FAR from all of `seen`."""
+    far = (true > 0) & np.isfinite(true)
+    y, x = np.nonzero(far)
+    rays = np.stack([x + 0.5, y + 0.5, np.ones(len(x))], axis=1) @ np.linalg.inv(view.K).T
+    places = (rays * true[far][:, None] - view.cam_from_world[:, 3]) @ view.cam_from_world[:, :3]
+    far[far] = np.isinf(seen.query(places, distance_upper_bound=FAR, workers=-1)[0])
+    return far
 
 
 def measure(mesh: Mesh, pages: list[np.ndarray], truth: Truth, out: Path | None = None) -> tuple[Looks, Looks, Looks]:
@@ -92,8 +111,8 @@ def measure(mesh: Mesh, pages: list[np.ndarray], truth: Truth, out: Path | None 
     if out is not None:
         _write(out, truth, pictures, verdicts)
     groups = slice(None), slice(None, EYE_LEVEL), slice(EYE_LEVEL, None)
-    every, eye, drone = (_summary(verdicts[group], np.stack(told)[group], matched[group], truth.pictures[group])
-                         for group in groups)
+    every, eye, drone = (_summary(verdicts[group], np.stack(told)[group], matched[group], truth.pictures[group],
+                                  truth.hidden[group]) for group in groups)
     return every, eye, drone
 
 
@@ -130,7 +149,9 @@ def _cosine(points: np.ndarray, rays: np.ndarray) -> np.ndarray:
     return cosine
 
 
-def _summary(verdicts: np.ndarray, marked: np.ndarray, pictures: np.ndarray, truth: np.ndarray) -> Looks:
+def _summary(
+    verdicts: np.ndarray, marked: np.ndarray, pictures: np.ndarray, truth: np.ndarray, hidden: np.ndarray
+) -> Looks:
     building = verdicts >= 0
     share = [100 * float((verdicts[building] == kind).mean()) for kind in range(4)]
     right = verdicts >= 2
@@ -141,7 +162,7 @@ def _summary(verdicts: np.ndarray, marked: np.ndarray, pictures: np.ndarray, tru
         ssim = float(np.stack(maps)[right].mean())
     return Looks(right_10cm=share[3], right_20cm=share[2] + share[3], wrong=share[1], empty=share[0],
                  unmarked=100 * float((verdicts == 1)[building & ~marked].sum() / max(building.sum(), 1)),
-                 psnr=noise, ssim=ssim)
+                 hidden=100 * float(((verdicts == 0) & hidden).sum() / max(building.sum(), 1)), psnr=noise, ssim=ssim)
 
 
 def _write(out: Path, truth: Truth, pictures: np.ndarray, verdicts: np.ndarray) -> None:
@@ -165,10 +186,11 @@ def report(workspace: Path, site: Path, mesh_path: Path | None = None, out: Path
 
 def text(looks: tuple[Looks, Looks, Looks]) -> str:
     """As a table, for people."""
-    lines = [f"{'':16}{'right 10cm':>11}{'20cm':>7}{'wrong':>7}{'unmarked':>9}{'empty':>7}{'PSNR':>7}{'SSIM':>7}"]
+    lines = [f"{'':16}{'right 10cm':>11}{'20cm':>7}{'wrong':>7}{'unmarked':>9}{'empty':>7}{'hidden':>7}"
+             f"{'PSNR':>7}{'SSIM':>7}"]
     for name, r in zip(("all views", "at eye level", "as a drone"), looks, strict=True):
-        lines.append(f"{name:16}{r.right_10cm:11.1f}{r.right_20cm:7.1f}{r.wrong:7.1f}{r.unmarked:9.1f}{r.empty:7.1f}{r.psnr:7.2f}"
-                     f"{r.ssim:7.3f}")
+        lines.append(f"{name:16}{r.right_10cm:11.1f}{r.right_20cm:7.1f}{r.wrong:7.1f}{r.unmarked:9.1f}{r.empty:7.1f}"
+                     f"{r.hidden:7.1f}{r.psnr:7.2f}{r.ssim:7.3f}")
     return "\n".join(lines)
 
 

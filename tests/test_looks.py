@@ -36,7 +36,9 @@ def truth() -> Truth:
     depth = np.full((count, HEIGHT, WIDTH), DEPTH, np.float32)
     depth[:, : HEIGHT // 4] = np.inf  # beyond the building: counts nowhere
     noise = np.random.default_rng(0).integers(-3, 4, (count, HEIGHT, WIDTH, 3))
-    return Truth((view,) * count, depth, (2 * GREY + noise).astype(np.uint8))
+    hidden = np.zeros(depth.shape, bool)
+    hidden[:, :, WIDTH * 3 // 4 :] = True
+    return Truth((view,) * count, depth, (2 * GREY + noise).astype(np.uint8), hidden)
 
 
 @pytest.mark.parametrize(("offset", "right_10cm", "right_20cm", "wrong", "empty"), [
@@ -53,6 +55,7 @@ def test_a_wall_too_near_or_too_far(
 def test_half_a_wall_is_half_empty_and_exposure_is_no_error(truth: Truth) -> None:
     looks, _, _ = measure(wall(right=0.0), [], truth)
     assert looks.right_10cm == pytest.approx(50) and looks.empty == pytest.approx(50)
+    assert looks.hidden == pytest.approx(25)  # half of that is seen by no three photos
     assert looks.psnr > 35  # the truth is twice as bright
 
 
@@ -60,5 +63,7 @@ def test_the_sample_sites_views_show_its_building() -> None:
     truth = read_truth(SITE)
     building = ((truth.depth > 0) & np.isfinite(truth.depth)).mean(axis=(1, 2))
     assert len(truth.views) == 24 and building.min() > 0.2
+    hidden = (truth.hidden.sum(axis=(1, 2)) / (building * truth.depth[0].size))[[9, 10, 13]]
+    assert hidden[0] < 0.3 and hidden[1] > 0.5 and hidden[2] < 0.3  # one stands before a wall that no photo shows
     heights = np.array([view.centre[2] for view in truth.views])
     assert heights[:EYE_LEVEL].max() < 5 < 10 < heights[EYE_LEVEL:].min()
