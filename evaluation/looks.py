@@ -11,8 +11,8 @@ ray meets the true surface, at least 0.2), *empty* where one sees no mesh, or on
 *wrong* all else, and *unmarked* what of that is marked neither as filled nor as weak. *Hidden* is what of the empty
 lies more than 0.4 m from SITE/truth/cloud.npz, the places that three photos see or more. PSNR (dB) and SSIM of the
 colours count the pixels right within 20 cm, after one gain for each channel over all views. The textured mesh is taken
-where there is one, else mesh.ply with its vertex colours. `--out` keeps pictures: truth, mesh, and right (grey), wrong (red),
-empty (blue).
+where there is one, else mesh.ply with its vertex colours. `--out` keeps pictures: truth, mesh, and right (grey), wrong
+(red), empty (blue).
 """
 
 from __future__ import annotations
