@@ -18,15 +18,16 @@ _context.set_forkserver_preload(["forked", "curecon_blender.core.run.worker", "c
 
 def run(arguments: list[str], out: Path, said: Path) -> int | None:
     """Run from the repository's root with stdout and stderr in these files; returns the exit code."""
-    process = _context.Process(target=_run, args=(arguments, out, said))
+    process = _context.Process(target=_run, args=(arguments, out, said, dict(os.environ)))
     process.start()
     process.join()
     return process.exitcode
 
 
-def _run(arguments: list[str], out: Path, said: Path) -> None:
+def _run(arguments: list[str], out: Path, said: Path, environment: dict[str, str]) -> None:
     from curecon_blender.core.run.worker import main
 
+    os.environ.update(environment)  # the process that it is a fork of has that of its start
     os.chdir(ROOT)
     for number, path in ((1, out), (2, said)):
         os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT), number)
