@@ -63,13 +63,13 @@ def still(scene: bpy.types.Scene) -> bpy.types.Object:
 
 
 def _walled_side(scene: bpy.types.Scene, about: site.Box, preferred: float) -> float:
-    """The azimuth from which most measured wall of the box shows, or the preferred one."""
+    """The azimuth from which most measured wall within the box's plan shows, or the preferred one."""
     item = site.subject(scene)
     if item is None or not surface.is_surface(item):
         return preferred
     places, normals, areas = surface.measured_faces(item)
-    axes = np.array([about.axis(index) for index in range(3)])
-    inside = (np.abs((places - about.centre) @ axes.T) <= about.half).all(axis=1)
+    axes = np.array([about.axis(0), about.axis(1)])
+    inside = (np.abs((places - about.centre) @ axes.T) <= about.half[:2]).all(axis=1)
     return camera_path.walled_side(places[inside], normals[inside], areas[inside], about.centre, preferred)
 
 
