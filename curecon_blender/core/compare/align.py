@@ -195,17 +195,18 @@ def _doubts(ways: list[_Way], other: Result) -> list[str]:
 
 
 def _explain(ours: _Side, theirs: _Side, ways: list[_Way], other: Result, *, scaled: bool) -> None:
-    """Raises CompareError where a mirrored or scaled result would fit much better, and without any doubt."""
+    """Raises CompareError where a mirrored or scaled result would lie on ours nearly whole, much better, and without
+    any doubt: halves of a building lie on each other mirrored, too."""
     least = _BETTER * (ways[0].score if ways else 0.0)
     points, tones = theirs.cloud
     thin = Thin(theirs.thin.points * _MIRROR, theirs.thin.normals * _MIRROR, cKDTree(theirs.thin.points * _MIRROR))
     mirrored = _ways(ours, _Side((points * _MIRROR, tones), thin, theirs.thick), scaled=scaled)
-    if mirrored and mirrored[0].score > least and not _doubts(mirrored, other):
+    if mirrored and mirrored[0].score > least and mirrored[0].evidence.on > _WELL and not _doubts(mirrored, other):
         raise _is_mirrored(other)
     if scaled:
         return
     rescaled = _ways(ours, theirs, scaled=True)
-    if rescaled and rescaled[0].score > least and not _doubts(rescaled, other):
+    if rescaled and rescaled[0].score > least and rescaled[0].evidence.on > _WELL and not _doubts(rescaled, other):
         found = rescaled[0].fine.motion.scale
         unit = next((name for known, name in _KNOWN_SCALES.items() if abs(found / known - 1) < 0.03), None)
         words = f"it seems to be in {unit}" if unit else "its unit is another one, or unknown"
