@@ -202,7 +202,10 @@ def _explain(ours: _Side, theirs: _Side, ways: list[_Way], other: Result, *, sca
     thin = Thin(theirs.thin.points * _MIRROR, theirs.thin.normals * _MIRROR, cKDTree(theirs.thin.points * _MIRROR))
     mirrored = _ways(ours, _Side((points * _MIRROR, tones), thin, theirs.thick), scaled=scaled)
     if mirrored and mirrored[0].score > least and mirrored[0].evidence.on > _WELL and not _doubts(mirrored, other):
-        raise _is_mirrored(other)
+        raise CompareError(
+            Text("{} fits on ours as a mirror image only: its axes were swapped, or it shows another side that looks "
+                 "alike.", other.name), path=other.name,
+            remedy="Export it again with its axes as they are. If they are, mark three pairs.")
     if scaled:
         return
     rescaled = _ways(ours, theirs, scaled=True)
