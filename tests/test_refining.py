@@ -134,3 +134,16 @@ def test_faces_that_crossed_before_are_smoothed_apart() -> None:
     before[np.linalg.norm(vertices[:, :2], axis=1).argmin(), 2] += 0.5
     assert crossing(before[both], both).any()
     assert not (made := crossing(uncrossed(before, before, both)[both], both)).any(), made.sum()
+
+
+def test_a_face_of_a_fields_size_is_looked_at_like_the_others() -> None:
+    """It spans billions of the small faces' cells: it must cross what it crosses, and not fill the memory."""
+    vertices, faces = grid(0.05)
+    field = np.array([[-3000, -3000, -299.987], [6000, -3000, 600.013], [0, 6000, 0.013]])
+    corners = np.concatenate([vertices[faces], field[None]])
+    found = crossing(corners, np.concatenate([faces, len(vertices) + np.array([[0, 1, 2]], np.int32)]))
+    normal = np.cross(field[1] - field[0], field[2] - field[0])
+    side = (vertices - field[0]) @ normal > 0
+    cut = side[faces].any(axis=1) & ~side[faces].all(axis=1)
+    assert cut.any()
+    np.testing.assert_array_equal(found, np.r_[cut, True])

@@ -11,7 +11,8 @@ from numba import njit
 
 from .borders import smoothed
 
-_CELL = 3.0  # median edges: side of the cells that faces are looked for in
+_CELL = 3.0  # median edges: side of the cells that faces are looked for in, at least
+_MOST_CELLS = 8  # a face, in the mean: a few faces of a field's size would else fill the memory
 _ROUNDS = 8  # of moving vertices back
 _compiled: Any = njit(nogil=True, error_model="numpy")
 
@@ -46,9 +47,13 @@ def crossing(corners: np.ndarray, faces: np.ndarray, asked: np.ndarray | None = 
     if asked is None:
         asked = np.ones(len(faces), bool)
     side = _CELL * float(np.median(np.linalg.norm(corners[:, 0] - corners[:, 1], axis=1)))
-    low = np.floor((corners.min(axis=1) - corners.min(axis=(0, 1))) / side).astype(np.int64)
-    high = np.floor((corners.max(axis=1) - corners.min(axis=(0, 1))) / side).astype(np.int64)
-    count = (high - low + 1).prod(axis=1)
+    lowest, highest = corners.min(axis=1) - corners.min(axis=(0, 1)), corners.max(axis=1) - corners.min(axis=(0, 1))
+    while True:
+        low, high = np.floor(lowest / side).astype(np.int64), np.floor(highest / side).astype(np.int64)
+        count = (high - low + 1).prod(axis=1)
+        if count.sum() <= _MOST_CELLS * len(faces):
+            break
+        side *= 2
     owner = np.repeat(np.arange(len(faces)), count)
     number = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
     span = (high - low + 1)[owner]
