@@ -26,7 +26,7 @@ ADDON = ROOT / "curecon_blender"
 sys.path.insert(0, str(ROOT))
 
 # For the command line, for developers, or with words of its own: the plan on paper, deliverables.
-ENGLISH = {"core/compare", "core/plan/page.py", "core/plan/files.py", "core/deliver/systems.py",
+ENGLISH = {"core/compare/sheet.py", "core/plan/page.py", "core/plan/files.py", "core/deliver/systems.py",
            "core/deliver/write.py", "core/run/command_line.py", "core/base/options.py", "core/__main__.py"}
 FOR_DEVELOPERS = {"diagnostics", "described"}  # functions whose text is sent to the developers
 SENTENCE = re.compile(
@@ -44,7 +44,8 @@ TRANSLATING = {"iface_", "rpt_", "n_", "pgettext_iface", "pgettext_rpt", "pgette
                "report", "paragraph", "warn", "translated"}
 SHOWN = {"text", "placeholder", "remedy", "bl_label", "task", "prompts"}
 WORDS = {"bl_label", "task", "prompts", "STAGE_NAMES", "SIDES", "DIRECTIONS", "problem", "lacking", "side", "up",
-         "north", "scale", "gps", "chosen", "found", "missing", "remedy", "said", "points", "way", "ELLIPSOID"}
+         "north", "scale", "gps", "chosen", "found", "missing", "remedy", "said", "points", "way", "ELLIPSOID",
+         "_KNOWN_SCALES"}
 NOT_SHOWN = {"print", "compile", "ArgumentParser", "add_argument", "new", "debug", "info", "_as", "Argument", "Log",
              "open", "removeprefix", "startswith", "endswith", "split", "replace"}
 

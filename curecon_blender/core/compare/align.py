@@ -110,7 +110,7 @@ def by_pairs(ours: Result, other: Result, pairs: np.ndarray, *, scaled: bool, fi
             remarks.append(f"The surfaces of {other.name} say otherwise than its pairs, which were kept.")
     worst = int(np.argmax(off))
     if len(pairs) > 3 and off[worst] > 0.05 * size:
-        remarks.append(f"Pair {worst + 1} is off by {off[worst]:.2f}: it may be marked wrongly.")
+        remarks.append(Text("Pair {} is off by {:.2f}: it may be marked wrongly.", worst + 1, off[worst]))
     if found.share <= _LITTLE:
         remarks.append(f"Only {100 * found.share:.0f} % of {other.name} lies near ours after that.")
     return replace(_laid(found, PAIRS, sure=not remarks, remarks=remarks), residuals=tuple(off.tolist()))
@@ -212,7 +212,7 @@ def _explain(ours: _Side, theirs: _Side, ways: list[_Way], other: Result, *, sca
     if rescaled and rescaled[0].score > least and rescaled[0].evidence.on > _WELL and not _doubts(rescaled, other):
         found = rescaled[0].fine.motion.scale
         unit = next((name for known, name in _KNOWN_SCALES.items() if abs(found / known - 1) < 0.03), None)
-        words = f"it seems to be in {unit}" if unit else "its unit is another one, or unknown"
+        words = Text("it seems to be in {}", Text(unit)) if unit else Text("its unit is another one, or unknown")
         raise CompareError(Text("{} fits on ours only when scaled by {:.4g}: {}.", other.name, found, words),
                            path=other.name, remedy="Let its scale be found as well (--scale), or export it in metres.")
 
@@ -273,7 +273,7 @@ def read_pairs(path: Path) -> np.ndarray:
     try:
         text = read_bytes(path, 1 << 20).decode("utf-8-sig")
     except (OSError, ValueError) as error:
-        raise CompareError(Text("{} cannot be read: {}.", path, str(error)), path=path,
+        raise CompareError(Text("{} cannot be read: {}.", path, Text(str(error))), path=path,
                            remedy="Give a text file of pairs.") from error
     rows = []
     for line in text.splitlines()[:_MOST_PAIRS]:

@@ -46,7 +46,7 @@ def read_result(path: Path, name: str = "") -> Result:
         raise CompareError(Text("{} does not exist.", path), path=path, remedy="Choose the file again.") from error
     except (OSError, ValueError, MemoryError) as error:
         why = str(error) or "it does not fit into memory"
-        raise CompareError(Text("{} cannot be read: {}.", path, why.rstrip(".")), path=path,
+        raise CompareError(Text("{} cannot be read: {}.", path, Text(why.rstrip("."))), path=path,
                            remedy="Export it again, as PLY or LAZ if you can.") from error
     return replace(made, name=name or made.name)
 
