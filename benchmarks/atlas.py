@@ -53,7 +53,7 @@ from curecon_blender.core.base.options import CELL  # noqa: E402
 from curecon_blender.core.publish.glb import mesh_tile  # noqa: E402
 from curecon_blender.core.publish.records import About  # noqa: E402
 
-_ALONE, _LONGEST = 10, 900  # seconds
+_ALONE, _LONGEST = 10, 1800  # seconds
 _VERTICES, _FACES, _SIDE = 50_000, 40_000, 420  # of a tile of a megabyte, and the pixels of its texture
 _PATHS = ("/", "/items.json", "/catalogue/map/0/world.json", "/sites/gate/site.json", "/sites/gate.1/surface/0.glb",
           "/api/search?q=gate")
