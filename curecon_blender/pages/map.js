@@ -146,6 +146,28 @@ function mark() {
   document.body.dataset.map = "drawn";
 }
 
+// Land on the sphere, for a flat map: a ring that crosses 180 degrees goes on beyond it, and one round a pole is closed there.
+function flat(land) {
+  const ring = (places) => {
+    let turn = 0, turns = 0;
+    const laid = places.map(([longitude, latitude], i) => {
+      const step = i ? longitude - places[i - 1][0] : 0;
+      turn += step > 180 ? -360 : step < -180 ? 360 : 0;
+      turns += turn;
+      return [longitude + turn, latitude];
+    });
+    if (turn) {
+      const pole = places[0][1] < 0 ? -90 : 90;
+      laid.push([laid.at(-1)[0], pole], [laid[0][0], pole], laid[0]);
+    }
+    const most = turn ? 0 : 360 * Math.round(turns / places.length / 360); // where most of it lay, there it stays
+    return laid.map(([longitude, latitude]) => [longitude - most, latitude]);
+  };
+  const polygons = ({ type, coordinates }) => (type === "Polygon" ? [coordinates] : coordinates).map((rings) => rings.map(ring));
+  return collected((land.features ?? [land]).map(({ geometry }) =>
+    ({ type: "Feature", properties: {}, geometry: { type: "MultiPolygon", coordinates: polygons(geometry) } })));
+}
+
 async function start() {
   const world = await (await fetch(new URL("vendor/world.json", here))).json();
   maplibre.setWorkerUrl(new URL("vendor/maplibre-worker.js", here).href);
@@ -154,7 +176,7 @@ async function start() {
     style: {
       version: 8,
       sources: {
-        land: { type: "geojson", data: feature(world, world.objects.land), tolerance: 0.2 },
+        land: { type: "geojson", data: flat(feature(world, world.objects.land)), tolerance: 0.2 },
         cells: { type: "geojson", data: cells(all.items) },
         sites: { type: "geojson", data: points({ sites: tiles ? [] : all.items, parts: [] }), cluster: true, clusterRadius: 45,
           clusterMaxZoom: 11, clusterProperties: { sites: ["+", ["get", "count"]] } },
