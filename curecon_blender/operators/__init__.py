@@ -13,6 +13,7 @@ from . import (
     check_photos,
     choose_photos,
     cloud_points,
+    comparison,
     control_points,
     deliver,
     export_cloud,
@@ -24,7 +25,6 @@ from . import (
     frame_position,
     frame_reset,
     frame_scale,
-    import_comparison,
     import_workspace,
     libraries,
     make_model,
@@ -47,7 +47,7 @@ from . import (
 
 CLASSES: tuple[type, ...] = (
     *choose_photos.CLASSES, *check_photos.CLASSES, *reconstruct.CLASSES, *make_model.CLASSES, *presets.CLASSES,
-    *import_workspace.CLASSES, *import_comparison.CLASSES,
+    *import_workspace.CLASSES, *comparison.CLASSES,
     *build_surface.CLASSES, *export_surface.CLASSES, *export_cloud.CLASSES, *accuracy_report.CLASSES,
     *deliver.CLASSES, *publish.CLASSES, *upload.CLASSES,
     *present_elevations.CLASSES, *present_moves.CLASSES, *present_renders.CLASSES, *present_photos.CLASSES,

@@ -136,7 +136,7 @@ class CURECON_FH_photos(bpy.types.FileHandler):
     bl_idname = "CURECON_FH_photos"
     bl_label = "CU-Recon: Reconstruct These Photos' Folder"
     bl_import_operator = "curecon.drop_photos"
-    bl_file_extensions = ".jpg;.jpeg;.png;.tif;.tiff;.heic;.heif;.dng;.cr2;.cr3;.nef;.arw;.raf;.orf;.rw2"
+    bl_file_extensions = ".jpg;.jpeg;.png;.tif;.tiff;.heic;.heif;.hif;.dng;.cr2;.cr3;.nef;.arw;.raf;.orf;.rw2;.pef;.srw"
 
     @classmethod
     def poll_drop(cls, context: bpy.types.Context) -> bool:

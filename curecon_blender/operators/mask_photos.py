@@ -20,10 +20,20 @@ from .running import WorkerOperator
 class _MaskOperator(WorkerOperator):
     task = "Masking photos"
     panel = "masks"
+    lacking: str  # what the button says while there is nothing for it
+
+    @classmethod
+    def there_is(cls, context: bpy.types.Context) -> bool:
+        raise NotImplementedError
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return running.idle(cls) and paths.cloud_finished(cls, context)
+        if not (running.idle(cls) and paths.cloud_finished(cls, context)):
+            return False
+        if not cls.there_is(context):
+            cls.poll_message_set(cls.lacking)
+            return False
+        return True
 
     def workspace(self, context: bpy.types.Context) -> Path:
         return paths.absolute(context.scene.curecon.result.workspace)
@@ -36,14 +46,11 @@ inside the region box. Reconstruct again to have the site without it"""
     bl_idname = "curecon.mask_photos"
     bl_label = "Leave Out of Photos"
 
+    lacking = "Select a mesh around what is to be left out, such as a cube, or add a region box"
+
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not super().poll(context):
-            return False
-        if not solids.chosen(context):
-            cls.poll_message_set("Select a mesh around what is to be left out, such as a cube, or add a region box")
-            return False
-        return True
+    def there_is(cls, context: bpy.types.Context) -> bool:
+        return bool(solids.chosen(context))
 
     def arguments(self, context: bpy.types.Context) -> list[str]:
         workspace = self.workspace(context)
@@ -62,14 +69,11 @@ class CURECON_OT_clear_masks(_MaskOperator, bpy.types.Operator):
     bl_idname = "curecon.clear_masks"
     bl_label = "Clear Masks"
 
+    lacking = "No photo was masked here"
+
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not super().poll(context):
-            return False
-        if not masked(context):
-            cls.poll_message_set("No photo was masked here")
-            return False
-        return True
+    def there_is(cls, context: bpy.types.Context) -> bool:
+        return masked(context) > 0
 
     def arguments(self, context: bpy.types.Context) -> list[str]:
         return [MASK, str(self.workspace(context)), "--clear"]

@@ -4,9 +4,9 @@
 
 from __future__ import annotations
 
-from . import cloud, control, frame, gaps, photos, plan, preferences, present, reconstruct, result, surface
+from . import cloud, control, frame, gaps, masks, photos, plan, preferences, present, reconstruct, result, surface
 
 CLASSES = (
     *preferences.CLASSES, *plan.CLASSES, *photos.CLASSES, *reconstruct.CLASSES, *result.CLASSES, *gaps.CLASSES,
-    *cloud.CLASSES, *frame.CLASSES, *control.CLASSES, *surface.CLASSES, *present.CLASSES,
+    *masks.CLASSES, *cloud.CLASSES, *frame.CLASSES, *control.CLASSES, *surface.CLASSES, *present.CLASSES,
 )

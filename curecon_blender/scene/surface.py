@@ -19,7 +19,7 @@ import numpy as np
 from ..core.base.errors import WorkspaceError
 from ..core.base.language import Text
 from ..core.surface.mesh import SHARP_ANGLE, Mesh
-from ..core.surface.triangles import face_normals, mesh_edges
+from ..core.surface.triangles import face_normals, mesh_edges, unit
 from .marks import COLOUR_NODE, FILLED_NODE, MARKS, add_tint, mark_key
 from .points import COLOUR, SUBJECT_SAMPLE, fill, linear, linear_colours, positions
 
@@ -182,9 +182,8 @@ def measured_faces(item: bpy.types.Object) -> tuple[np.ndarray, np.ndarray, np.n
     for values, name in ((places, "center"), (normals, "normal"), (areas, "area")):
         data.polygons.foreach_get(name, values.ravel())
     to_world = np.array(item.matrix_world)
-    normals = normals[kept] @ np.linalg.inv(to_world[:3, :3])
-    length = np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
-    return places[kept] @ to_world[:3, :3].T + to_world[:3, 3], normals / length, areas[kept]
+    normals = unit(normals[kept] @ np.linalg.inv(to_world[:3, :3]))
+    return places[kept] @ to_world[:3, :3].T + to_world[:3, 3], normals, areas[kept]
 
 
 def facing(data: bpy.types.Mesh) -> tuple[np.ndarray, np.ndarray]:

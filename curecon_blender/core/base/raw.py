@@ -41,22 +41,22 @@ class RawImage(ImageFile.ImageFile):
 
     def _read_tags(self) -> Image.Exif:
         """Those of the file, where it is a TIFF inside, or else of the JPEG that the camera put into it."""
+        assert self.fp is not None
         tags = Image.Exif()
         try:
-            assert self.fp is not None
             self.fp.seek(0)
             tags.load_from_fp(self.fp)
         except (OSError, SyntaxError, ValueError):
-            tags = Image.Exif()
+            tags = Image.Exif()  # no TIFF inside, or a damaged one
         if ExifTags.Base.Make in tags:
             return tags
         try:
             thumbnail = self._raw.extract_thumb()
-            if thumbnail.format == rawpy.ThumbFormat.JPEG:
-                return Image.open(io.BytesIO(bytes(thumbnail.data))).getexif()
+            if thumbnail.format != rawpy.ThumbFormat.JPEG:
+                return tags
+            return Image.open(io.BytesIO(bytes(thumbnail.data))).getexif()
         except (rawpy.LibRawError, OSError):
-            pass  # no thumbnail: there are no tags
-        return tags
+            return tags  # no thumbnail, or none that can be read: a photo without tags is used as any other
 
     def getexif(self) -> Image.Exif:
         return self._tags

@@ -33,8 +33,7 @@ _REMEDIES = {
 class Files:
     """`pictures` are JPEG, PNG, TIFF, HEIC and raw files, `others` all else, both in natural order of names. A HEIC
     beside a picture of the same name is the same photo, and one of the others; so is a raw beside either.
-    `masks` are those of each picture, `lone_masks`
-    those whose photo is not there."""
+    `masks` are those of each picture, `lone_masks` those whose photo is not there."""
 
     pictures: list[Path]
     others: list[Path]
