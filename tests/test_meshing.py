@@ -214,7 +214,7 @@ def test_too_little_memory_for_poisson_is_an_error_in_words_and_leaves_no_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mebibytes: int
 ) -> None:
     limit = f"import resource; resource.setrlimit(resource.RLIMIT_AS, ({mebibytes} << 20,) * 2)"
-    monkeypatch.setattr(poisson, "_CHILD", f"{limit}\n{poisson._CHILD}")
+    monkeypatch.setattr(poisson, "_POISSON", f"{limit}\n{poisson._POISSON}")
     with pytest.raises(MeshError, match="No surface could be made") as caught:
         build(HOUSE, tmp_path)
     assert caught.value.remedy

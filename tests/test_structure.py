@@ -23,7 +23,7 @@ MAY_IMPORT |= {"run": (*FLOW, "site", "plan", "run")}
 MOST_LINES, MOST_FUNCTION_LINES = 400, 60
 # In Blender's own process there are Blender's Python and NumPy; these are the worker's.
 WORKER_ONLY = ("torch", "cv2", "pycolmap", "scipy", "PIL", "pillow_heif", "rawpy", "psutil", "numba", "xatlas",
-               "safetensors", "distributed", "reportlab", "laspy", "lazrs")
+               "fast_simplification", "safetensors", "distributed", "reportlab", "laspy", "lazrs")
 
 
 @cache

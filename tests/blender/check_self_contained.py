@@ -21,7 +21,7 @@ import bpy
 ARCHIVE, PHOTOS, FOLDER = map(Path, sys.argv[1:4])
 COUNT = int(sys.argv[4]) if len(sys.argv) > 4 else 0
 NAME = "bl_ext.user_default.curecon_blender"
-OWN = {"cv2", "numba", "PIL", "pycolmap", "scipy", "torch", "xatlas"}
+OWN = {"cv2", "numba", "PIL", "pycolmap", "scipy", "torch", "xatlas", "fast_simplification"}
 
 found = {name for name in OWN | {"curecon_blender"} if importlib.util.find_spec(name)}
 assert not found, f"this Python has {', '.join(sorted(found))} already, so it would prove nothing"

@@ -31,7 +31,7 @@ from ..depth.tiles import memory_budget
 from .pipeline import reconstruct
 
 LIBRARIES = ("numpy", "pillow", "psutil", "opencv-python-headless", "safetensors", "scipy", "torch", "pycolmap",
-             "xatlas", "numba")
+             "xatlas", "fast_simplification", "numba")
 VIEWS, WIDTH, HEIGHT = 6, 480, 360
 FOCAL = 1.2 * WIDTH  # pixels: what is taken for a photo that does not tell
 DEPTH_SIZE = 320  # pixels, longest side of a depth map

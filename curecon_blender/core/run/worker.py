@@ -41,7 +41,7 @@ from ..base.options import (
 from .command_line import about_of, choices_of, options_of, parser
 
 NEEDED = ("numpy", "PIL", "pillow_heif", "rawpy", "psutil", "cv2", "safetensors", "scipy", "torch", "pycolmap",
-          "xatlas", "numba")
+          "xatlas", "fast_simplification", "numba")
 REQUIREMENTS = Path(__file__).resolve().parents[2] / "requirements.txt"
 PLAIN_LINE_EVERY = 10.0  # seconds between progress lines in a pipe
 ORPHAN_GRACE = 3.0  # seconds a worker may take to stop by itself once its parent is gone; a restart waits for it

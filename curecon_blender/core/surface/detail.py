@@ -20,7 +20,8 @@ _SAMPLES = 4  # a coarse face, about, for each fine one that may lie on it
 
 
 def simplified(mesh: Mesh, count: int, scratch: Path, reporter: Reporter) -> Mesh:
-    """The mesh with at most `count` faces, by quadric edge collapse; the mesh itself where it has no more.
+    """The mesh with at most `count` faces, by quadric edge collapse, or more where each of its parts is as small as it
+    can be; the mesh itself where it has no more.
 
     Each vertex takes colour, distance and views of the nearest one of the finer mesh. A face is `filled` or `weak`
     where at least half of the finer surface that it stands for is. UVs, pages and `unseen` are dropped: texture the

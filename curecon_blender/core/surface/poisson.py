@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 CU-Recon authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Screened Poisson reconstruction and simplification by pycolmap, each in a process of its own."""
+"""Screened Poisson reconstruction by pycolmap and quadric edge collapse, each in a process of its own."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from ..base.messages import Reporter
 from ..base.ply import column, read_ply, row_type, table, write_ply
 from ..cloud.ply import Cloud, CloudWriter
 from .mesh import MeshError
+from .triangles import triangle_areas
 
 _DEPTHS = (6, 12)  # of the octree; its memory grows with the points, not with the depth
 _SURPLUS = 6  # faces made for each one that stays: more cost time and memory, and show no more
@@ -33,17 +33,33 @@ _CUBE = 1.1  # Poisson's cube is this much larger than the cloud
 _LEAST_FREE = 1 << 20  # bytes: a disk with less is full
 _VERTEX = row_type([("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
 _FACE = row_type([("vertex_indices", "<i4", 3)])
+_EDGE = 0.06  # of faces that are collapsed: the collapse's thresholds are lengths
+_EAGERNESS = (5, 8, 12, 16)  # how fast they grow: slowly is nearer to the surface, and may not come to the count
 # The process goes with the worker, even if that is killed; where the system cannot arrange it, it ends when it is done.
 _CHILD = """
 import ctypes, json, sys
 if sys.platform == "linux":
     ctypes.CDLL(None).prctl(1, 9)
+"""
+_POISSON = _CHILD + """
 import pycolmap
-call, kind, source, target, settings = sys.argv[1:]
-options = getattr(pycolmap, kind)()
+source, target, settings = sys.argv[1:]
+options = pycolmap.PoissonMeshingOptions()
 for name, value in json.loads(settings).items():
     setattr(options, name, value)
-getattr(pycolmap, call)(source, target, options)
+pycolmap.poisson_meshing(source, target, options)
+"""
+_COLLAPSE = _CHILD + """
+import fast_simplification
+import numpy as np
+source, target, settings = sys.argv[1:]
+count, eagerness = json.loads(settings)
+with np.load(source) as file:
+    vertices, faces = file["vertices"], file["faces"]
+for eager in eagerness:
+    if len(faces) > count:
+        vertices, faces = fast_simplification.simplify(vertices, faces, target_count=count, agg=eager)
+np.savez(target, vertices=vertices, faces=faces)
 """
 
 
@@ -61,27 +77,29 @@ def poisson(
                    "See that the disk is not full; reconstruct again if the cloud looks wrong."):
         with CloudWriter(source) as writer:
             writer.write(cloud)
-        _pycolmap("poisson_meshing", "PoissonMeshingOptions", source, target, reporter, depth=depth, trim=0,
-                  color=False)
+        _run(_POISSON, source, target, {"depth": depth, "trim": 0, "color": False}, reporter)
         return read_triangles(target)
 
 
 def simplify(
     vertices: np.ndarray, faces: np.ndarray, count: int, scratch: Path, reporter: Reporter
 ) -> tuple[np.ndarray, np.ndarray]:
-    """At most `count` faces, by quadric edge collapse. Raises MeshError, and WorkspaceError for a full disk."""
-    source, target = scratch / "fine.ply", scratch / "coarse.ply"
+    """At most `count` faces, by quadric edge collapse; more only where each part is as small as it can be. Raises
+    MeshError, and WorkspaceError for a full disk."""
+    source, target = scratch / "fine.npz", scratch / "coarse.npz"
     with _exchange(source, target, "The surface could not be simplified",
                    "See that the disk is not full, or give a larger face target."):
-        write_triangles(source, vertices, faces)
-        _pycolmap("simplify_mesh", "MeshSimplificationOptions", source, target, reporter,
-                  target_face_ratio=count / len(faces), interpolate_colors=False)
-        return read_triangles(target)
+        middle = vertices.mean(axis=0, dtype=np.float64)
+        edge = float(np.sqrt(triangle_areas(vertices[faces]).mean(dtype=np.float64))) or 1.0
+        np.savez(source, vertices=(vertices - middle) * (_EDGE / edge), faces=faces)
+        _run(_COLLAPSE, source, target, [count, _EAGERNESS], reporter)
+        with np.load(target) as found:
+            return (found["vertices"] * (edge / _EDGE) + middle).astype(np.float32), found["faces"].astype(np.int32)
 
 
 @contextmanager
 def _exchange(source: Path, target: Path, failure: str, remedy: str) -> Iterator[None]:
-    """For a block that writes `source` and has pycolmap make `target` of it: both are deleted in the end. Raises
+    """For a block that writes `source` and has another process make `target` of it: both are deleted in the end. Raises
     MeshError for what goes wrong, and WorkspaceError for a full disk."""
     folder = source.parent
     try:
@@ -101,18 +119,17 @@ def _exchange(source: Path, target: Path, failure: str, remedy: str) -> Iterator
         target.unlink(missing_ok=True)
 
 
-def _pycolmap(call: str, kind: str, source: Path, target: Path, reporter: Reporter, **settings: Any) -> None:
-    """`pycolmap.call(source, target, kind(**settings))` in a process of its own: it holds Python's lock for as long as
-    it works, and nobody could cancel. Raises RuntimeError with its last words when it fails."""
-    arguments = [call, kind, str(source), str(target), json.dumps(settings)]
+def _run(program: str, source: Path, target: Path, settings: object, reporter: Reporter) -> None:
+    """Run a program on `source`, which makes `target`, in a process of its own: the libraries hold Python's lock for as
+    long as they work, and nobody could cancel. Raises RuntimeError with its last words when it fails."""
+    command = [sys.executable, "-c", program, str(source), str(target), json.dumps(settings)]
     words = source.with_suffix(".log")
     release()  # that process will need it
     # Threads that wait must not spin: beside other work they would take the cores from those that have something to do.
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "OMP_WAIT_POLICY": "passive"}
     try:
         with words.open("wb") as log, subprocess.Popen(
-            [sys.executable, "-c", _CHILD, *arguments], stdin=subprocess.DEVNULL, stdout=log, stderr=log,
-            env=environment,
+            command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=environment,
         ) as process:
             try:
                 while process.poll() is None:
@@ -133,6 +150,6 @@ def write_triangles(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None
 
 
 def read_triangles(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (n,3) float32 and faces (m,3) int32 of a PLY by pycolmap. Raises ValueError where it is cut short."""
+    """Vertices (n,3) float32 and faces (m,3) int32 of a PLY of triangles. Raises ValueError where it is cut short."""
     rows = read_ply(path, ["vertex", "face"], {"vertex_indices": 3})[1]
     return column(rows["vertex"], "x y z").astype(np.float32), rows["face"]["vertex_indices"].copy()
