@@ -327,28 +327,31 @@ def test_what_pads_a_source_changes_no_cost_and_learns_nothing(visibility: bool)
 
 
 def test_below_a_sources_last_row_the_other_source_is_believed(tmp_path: Path) -> None:
-    """One of two sources has 97 rows, which the network takes as 128."""
-    short, view, whole = (make_view(i, 30) for i in (1, 2, 3))
-    short = replace(short, height=97)
-    (tmp_path / "undistorted").mkdir()
-    for each in (short, view, whole):
-        cv2.imwrite(str(tmp_path / each.image), cast(each)[1][..., ::-1])
-    truth, _ = cast(view)
-    v, u = np.mgrid[: view.height, : view.width] + 0.5
-    rays = np.linalg.inv(view.K) @ np.stack([u, v, np.ones_like(u)]).reshape(3, -1) * truth.reshape(-1)
-    world = view.cam_from_world[:, :3].T @ (rays - view.cam_from_world[:, 3:])
-    places = []
-    for source in (short, whole):
-        x, y, z = source.K @ (source.cam_from_world[:, :3] @ world + source.cam_from_world[:, 3:])
-        places.append(((x / z).reshape(truth.shape), (y / z).reshape(truth.shape)))
-    (x, y), (x_whole, y_whole) = places
-    below = (truth > 0) & (y > 97) & (x > 0) & (x < 160)
-    below &= (y_whole < 120) & (y_whole > 0) & (x_whole > 0) & (x_whole < 160)
-    assert below.mean() > 0.1
-    options = Options(photos=tmp_path, workspace=tmp_path, device="cpu", precision="fp32")
-    depth, _ = DepthEstimator(load_network(), tmp_path, options).estimate(view, [(short, 1.0), (whole, 1.0)])
-    error = np.abs(depth - truth)[below] / truth[below]
-    assert error.mean() < 0.019  # 0.015; where padding is believed, 0.024
+    """One of two sources has 97 rows, which the network takes as 128. That costs no more than 96 rows do."""
+    errors = {}
+    for rows in (96, 97):
+        short, view, whole = (make_view(i, 30) for i in (2, 3, 4))
+        short = replace(short, height=rows)
+        folder = tmp_path / str(rows)
+        (folder / "undistorted").mkdir(parents=True)
+        for each in (short, view, whole):
+            cv2.imwrite(str(folder / each.image), cast(each)[1][..., ::-1])
+        truth, _ = cast(view)
+        v, u = np.mgrid[: view.height, : view.width] + 0.5
+        rays = np.linalg.inv(view.K) @ np.stack([u, v, np.ones_like(u)]).reshape(3, -1) * truth.reshape(-1)
+        world = view.cam_from_world[:, :3].T @ (rays - view.cam_from_world[:, 3:])
+        places = []
+        for source in (short, whole):
+            x, y, z = source.K @ (source.cam_from_world[:, :3] @ world + source.cam_from_world[:, 3:])
+            places.append(((x / z).reshape(truth.shape), (y / z).reshape(truth.shape)))
+        (x, y), (x_whole, y_whole) = places
+        below = (truth > 0) & (y > 97) & (x > 0) & (x < 160)
+        below &= (y_whole < 120) & (y_whole > 0) & (x_whole > 0) & (x_whole < 160)
+        assert below.mean() > 0.1
+        options = Options(photos=folder, workspace=folder, device="cpu", precision="fp32")
+        depth, _ = DepthEstimator(load_network(), folder, options).estimate(view, [(short, 1.0), (whole, 1.0)])
+        errors[rows] = (np.abs(depth - truth)[below] / truth[below]).mean()
+    assert errors[97] < 1.3 * errors[96]  # 0.9; where padding is believed, 3
 
 
 def test_an_unsure_pixel_is_not_thrown_far_beyond_what_the_photo_reaches() -> None:

@@ -26,7 +26,7 @@ _RADII = (3.0, 6.0)  # voxels that a point is described by
 _BINS = 5
 _NEIGHBOURS = 60
 _SLACK = 0.05  # of a distance, where the scale is open
-_TURNS = 36
+_TURNS, _SLID = 36, 2  # around; by so many of them a part of a ring still lies on the ring
 _SLIDES, _SLIDE = 8, 0.6  # to either side, and up to what share of the source's length
 _CLEAR, _CLEAR_AGAINST = 0.7, 0.05  # shares that leave no need to try another scale
 _TELLING = 50  # partners whose colours say something
@@ -235,14 +235,17 @@ def differ(one: Similarity, other: Similarity, middle: np.ndarray, voxel: float)
 
 def _alike_motions(source: Thin, target: Thin, best: Guess, voxel: float, *, scaled: bool) -> list[Guess]:
     """Other motions that fit because what is there looks alike from several sides or places: the best one turned about
-    the axes of the target's normals, as a ring's or a square's middle has them, and slid along them, as on a wall."""
+    the axes of the target's normals, as a ring's or a square's middle has them, and slid along them, as on a wall. Half
+    a ring slides on the other half with no best place: it is turned a little, too."""
     found: list[Guess] = []
     normals = target.normals
     for axis in np.linalg.eigh(normals.T @ normals)[1].T:
         centre = _centre(target, axis)
         turns = [turned(axis * 2 * np.pi * turn / _TURNS) for turn in range(1, _TURNS)]
-        found += _peaks(source, target, best, [Similarity(1.0, turn, centre - turn @ centre) for turn in turns], voxel,
-                        scaled=scaled)
+        changes = [Similarity(1.0, turn, centre - turn @ centre) for turn in turns]
+        found += _peaks(source, target, best, changes, voxel, scaled=scaled)
+        found += [_settled(source, target, change.after(best.motion), voxel, scaled=scaled)
+                  for change in (changes[_SLID - 1], changes[-_SLID])]
         along = source.points @ (best.motion.rotation.T @ axis) * best.motion.scale
         step = max(_DISTINCT_SHIFT * voxel, _SLIDE * float(np.ptp(along)) / _SLIDES)
         slides = [slide for slide in range(-_SLIDES, _SLIDES + 1) if slide]
@@ -258,11 +261,13 @@ def _peaks(
     scores = [scored(source, target, change.after(best.motion), 2 * voxel) for change in changes]
     peaks = [one for place, one in enumerate(scores) if one.score > 0.5 * best.score
              and one.score >= max(other.score for other in scores[max(place - 1, 0) : place + 2])]
-    found = []
-    for peak in sorted(peaks, key=lambda one: -one.score)[:4]:
-        fine = refine(source, target, peak.motion, _NEAR * voxel, scaled=scaled, rounds=12)
-        found.append(scored(source, target, fine.motion, voxel))
-    return found
+    return [_settled(source, target, peak.motion, voxel, scaled=scaled)
+            for peak in sorted(peaks, key=lambda one: -one.score)[:4]]
+
+
+def _settled(source: Thin, target: Thin, motion: Similarity, voxel: float, *, scaled: bool) -> Guess:
+    fine = refine(source, target, motion, _NEAR * voxel, scaled=scaled, rounds=12)
+    return scored(source, target, fine.motion, voxel)
 
 
 def _centre(target: Thin, axis: np.ndarray) -> np.ndarray:
