@@ -18,7 +18,6 @@ from .geometry import normals_of, one_a_voxel
 
 MOST_RESULTS = 6
 _WIDTH, _HEIGHT, _EDGE, _DPI = 3508, 2480, 90, 300  # A4 across
-_COLUMNS = 3
 _LIGHT = np.array([-0.45, -0.55, 0.70])
 _INK, _PALE, _GREY = (40, 40, 40), (225, 225, 225), (185, 180, 172)
 _RAMP = np.array([[44, 123, 182], [171, 217, 233], [255, 255, 191], [253, 174, 97], [215, 25, 28]], float)
@@ -111,14 +110,14 @@ def write_sheet(
     sheet = Image.new("RGB", (_WIDTH, _HEIGHT), "white")
     draw = ImageDraw.Draw(sheet)
     draw.text((_EDGE, 60), title, fill=_INK, font=letters.sized(64), anchor="la")
-    columns = min(len(shown), _COLUMNS)
-    rows = -(-len(shown) // _COLUMNS)
     table_top = _HEIGHT - _EDGE - 46 * (len(shown) + 2) - 40 * len(notes)
-    cell_width, cell_height = (_WIDTH - 2 * _EDGE) // columns, (table_top - 270) // rows
-    size = (cell_width - 30, (cell_height - 70) // 2)
-    view = view_of(_few(about), size)
+    about = _few(about)
+    columns = max(range(len(shown), 0, -1),
+                  key=lambda wide: view_of(about, _cell(len(shown), wide, table_top)[1]).scale)
+    (cell_width, cell_height), size = _cell(len(shown), columns, table_top)
+    view = view_of(about, size)
     for number, one in enumerate(shown):
-        x, y = _EDGE + number % _COLUMNS * cell_width, 160 + number // _COLUMNS * cell_height
+        x, y = _EDGE + number % columns * cell_width, 160 + number // columns * cell_height
         draw.text((x, y), one.name[:60], fill=_INK, font=letters.sized(42), anchor="la")
         which = _chosen(one.places)
         places, colours = one.places[which], None if one.colours is None else one.colours[which]
@@ -138,6 +137,12 @@ def write_sheet(
     with atomic_write(pdf) as file:
         sheet.save(file, "PDF", resolution=_DPI, quality=92)
     return png, pdf
+
+
+def _cell(count: int, columns: int, bottom: int) -> tuple[tuple[int, int], tuple[int, int]]:
+    """The size of a result's place on the sheet, and of each of its two pictures."""
+    width, height = (_WIDTH - 2 * _EDGE) // columns, (bottom - 270) // -(-count // columns)
+    return (width, height), (width - 30, (height - 70) // 2)
 
 
 def _few(points: np.ndarray) -> np.ndarray:
