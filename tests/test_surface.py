@@ -89,7 +89,7 @@ def test_cancelled_while_it_meshes_it_stops_at_once_and_leaves_nothing(
     while not children and worker.poll() is None and time.monotonic() < deadline:
         for child in psutil.Process(worker.pid).children():
             with contextlib.suppress(psutil.NoSuchProcess):  # one that has just ended
-                children += [child] if "poisson_meshing" in child.cmdline() else []
+                children += [child] if "poisson_meshing" in " ".join(child.cmdline()) else []
         time.sleep(0.02)
     assert children, "the mesh was made before it could be cancelled"
     worker.send_signal(signal.SIGINT)
