@@ -59,6 +59,14 @@ def test_a_ring_that_looks_alike_from_all_sides_is_told() -> None:
     assert not laid.sure and "alike from several sides" in laid.remarks[0]
 
 
+@pytest.mark.parametrize("seed", [103, 114])
+def test_half_a_ring_on_its_other_half_is_doubted(seed: int) -> None:
+    """They share a tenth of the ring's length, and lie on each other best when one is turned half around."""
+    theirs, mine, _ = scenes.pair("ring", seed, 0.1)
+    laid = align.find(result_of("ours", mine), result_of("theirs", theirs), scaled=False)
+    assert not laid.sure and "alike from several sides" in laid.remarks[0]
+
+
 def test_colours_tell_the_sides_of_a_ring() -> None:
     rng = np.random.default_rng(2)
     rotation = turned(np.array([0, 0, 1.0]))

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +22,7 @@ class _MaskOperator(WorkerOperator):
     task = "Masking photos"
     panel = "masks"
     lacking: str  # what the button says while there is nothing for it
-
-    @classmethod
-    def there_is(cls, context: bpy.types.Context) -> bool:
-        raise NotImplementedError
+    there_is: Callable[[bpy.types.Context], bool]
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

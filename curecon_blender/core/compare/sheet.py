@@ -116,15 +116,17 @@ def write_sheet(
                   key=lambda wide: view_of(about, _cell(len(shown), wide, table_top)[1]).scale)
     (cell_width, cell_height), size = _cell(len(shown), columns, table_top)
     view = view_of(about, size)
+    large = letters.sized(42)
     for number, one in enumerate(shown):
         x, y = _EDGE + number % columns * cell_width, 160 + number // columns * cell_height
-        draw.text((x, y), one.name[:60], fill=_INK, font=letters.sized(42), anchor="la")
+        fits = max(length for length in range(len(one.name) + 1) if large.getlength(one.name[:length]) <= size[0])
+        draw.text((x, y), one.name[:fits], fill=_INK, font=large, anchor="la")
         which = _chosen(one.places)
         places, colours = one.places[which], None if one.colours is None else one.colours[which]
         sheet.paste(drawn(places, lit(places, colours), view, size), (x, y + 60))
         below = (x, y + 60 + size[1])
         if one.distance is None:
-            draw.text((below[0] + size[0] / 2, below[1] + size[1] / 2), "reference", fill=_GREY, font=letters.sized(42),
+            draw.text((below[0] + size[0] / 2, below[1] + size[1] / 2), "reference", fill=_GREY, font=large,
                       anchor="mm")
         else:
             sheet.paste(drawn(places, ramp(one.distance[which] / most), view, size), below)
