@@ -112,7 +112,7 @@ def write_sheet(
     draw.text((_EDGE, 60), title, fill=_INK, font=letters.sized(64), anchor="la")
     table_top = _HEIGHT - _EDGE - 46 * (len(shown) + 2) - 40 * len(notes)
     about = _few(about)
-    columns = max(range(len(shown), 0, -1),
+    columns = max(range(1, len(shown) + 1),
                   key=lambda wide: view_of(about, _cell(len(shown), wide, table_top)[1]).scale)
     (cell_width, cell_height), size = _cell(len(shown), columns, table_top)
     view = view_of(about, size)
