@@ -48,12 +48,12 @@ def house() -> Cloud:
 class Looks(Sight):
     """A photo from y = -8, 1.2 m above the ground, whose depth map is given."""
 
-    def __init__(self, depth: float, sure: bool = True) -> None:
+    def __init__(self, depth: float, sure: bool = True, z_up: bool = True) -> None:
         rotation = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
         pose = np.column_stack([rotation, -rotation @ np.array([0, -8, 1.2])])
         self.views = self._told = [View(name="a.jpg", image="a.jpg", width=320, height=240, K=K, cam_from_world=pose,
                                         near=1.0, far=100.0, sources=())]
-        self._depth, self._confidence = depth, 0.9 if sure else 0.1
+        self._depth, self._confidence, self.z_up = depth, 0.9 if sure else 0.1, z_up
 
     def glances(self) -> Iterator[Glance]:
         depth = np.full((240, 320), self._depth, np.float32)
@@ -70,6 +70,17 @@ def test_a_wall_goes_on_up_to_its_roof_where_no_photo_is_sure() -> None:
     assert (heights > 10).all()
     assert (made.views == 0).all()
     assert not (made.points[:, 2] > ROOF + SPACING).any() and made.points[:, 2].min() > -SPACING
+
+
+@pytest.mark.parametrize("z_up", [True, False])
+def test_a_wall_goes_on_plumb_though_what_was_seen_of_it_leans_where_z_is_up(z_up: bool) -> None:
+    low, lean = 1.2, 0.1
+    site = joined(plane((-2, 0, 0), (4, 0, 0), (0, lean * low, low)), plane((-2, -1.5, ROOF), (4, 0, 0), (0, 3, 0)),
+                  plane((-2, -3, 0), (4, 0, 0), (0, 3, 0)))
+    made = continued(site, SPACING, Looks(30.0, sure=False, z_up=z_up))
+    top = made.points[(np.abs(made.normals[:, 1]) > 0.9) & (np.abs(made.points[:, 0]) < 1) & (made.points[:, 2] > 2.2)]
+    assert len(top) > 100
+    assert (np.median(top[:, 1]) < lean * low + 0.05) == z_up
 
 
 def test_a_gap_that_a_sure_photo_looks_through_stays_open() -> None:

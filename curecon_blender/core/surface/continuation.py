@@ -36,6 +36,9 @@ _LEAST = 160  # cells of points that carry a sheet
 _GOOD = 0.7  # of the points about it that must lie on a sheet
 _FULL = 0.97  # of the sheet's nodes: it has no gap
 _STEEP = 0.5  # of a normal's z: what is steeper is a wall and goes on until something stops it
+# How firmly a wall is held plumb: as by the points of a strip some ten cells high. Where a wall is seen at a slant,
+# or by few photos, what was measured of it leans; on its way up to the eave that would add up.
+_PLUMB = 5e3
 _RECESS = 4  # cells behind a gap: a surface measured there says that it is none
 _FINE = 0.006  # of the depth: by how much farther a photo must see to look through a gap
 _MOST_NEAR = 200_000  # points that a sheet is fitted to
@@ -63,7 +66,7 @@ def continued(cloud: Cloud, spacing: float, sight: Sight) -> Cloud:
     """Points (with 0 views) that continue the surfaces of `cloud` over their gaps, about one a spacing."""
     side = CELL * spacing
     grid = _gather(cloud.points, cloud.normals, side)
-    sheets, state = _sheets(grid)
+    sheets, state = _sheets(grid, _PLUMB if sight.z_up else 0.0)
     gaps = np.flatnonzero(_bridged(state, sheets.steep))
     places, directions = sheets.nodes(gaps, grid)
     state[gaps[looked_through(places, sight, _FINE) > 0]] = _EMPTY
@@ -135,8 +138,8 @@ class _Sheets:
         return places.astype(np.float32), normals.astype(np.float32)
 
 
-def _sheets(grid: _Grid) -> tuple[_Sheets, np.ndarray]:
-    """All sheets with gaps, and the states of all their nodes."""
+def _sheets(grid: _Grid, stiff: float) -> tuple[_Sheets, np.ndarray]:
+    """All sheets with gaps, and the states of all their nodes. Walls are held plumb as firmly as `stiff`."""
     cells = cell_numbers(grid.points, np.zeros(3), _SEED * grid.side)
     _, seed = np.unique(cells * 8 + _direction(grid.normals), return_index=True)
     near = np.empty(_MOST_NEAR, np.int64)
@@ -145,7 +148,8 @@ def _sheets(grid: _Grid) -> tuple[_Sheets, np.ndarray]:
         numbers = seed[begin : begin + _BATCH].copy()
         count = len(numbers)
         into = np.empty((count, 4)), np.empty((count, 3, 3)), np.empty((count, _WIDTH * _HEIGHT), np.int8)
-        found = _fit(numbers, grid.points, grid.normals, grid.buckets, grid.starts, grid.cells, grid.side, near, *into)
+        found = _fit(numbers, grid.points, grid.normals, grid.buckets, grid.starts, grid.cells, grid.side, stiff, near,
+                     *into)
         parts.append([whole[:found].copy() for whole in (numbers, *into)])
     numbers, bends, axes, state = (np.concatenate(part) for part in zip(*parts, strict=True))
     steep = np.abs(grid.normals[numbers, 2]) < _STEEP
@@ -197,8 +201,9 @@ def _occupied(a, b, reach):  # type: ignore[no-untyped-def]
 
 
 @_compiled
-def _curved(a, b, h, reach):  # type: ignore[no-untyped-def]
-    """The sheet h = c0 + c1 a + c2 b + c3 a^2 that most of the points lie on: least squares, reweighted."""
+def _curved(a, b, h, reach, plumb, stiff):  # type: ignore[no-untyped-def]
+    """The sheet h = c0 + c1 a + c2 b + c3 a^2 that most of the points lie on: least squares, reweighted. Its slope c2
+    is held at `plumb` as firmly as `stiff`."""
     weight = np.ones(len(a))
     c = np.zeros(4)
     for _ in range(4):
@@ -221,7 +226,8 @@ def _curved(a, b, h, reach):  # type: ignore[no-untyped-def]
             rb += wy * z
             raa += wxx * z
         # little curvature where little tells it
-        _solve(np.array([[s1, sa, sb, saa, r1], [sa, saa, sab, saaa, ra], [sb, sab, sbb, saab, rb],
+        _solve(np.array([[s1, sa, sb, saa, r1], [sa, saa, sab, saaa, ra],
+                         [sb, sab, sbb + stiff, saab, rb + stiff * plumb],
                          [saa, saaa, saab, saaaa + 1e4 / reach**2, raa]]), c)
         for k in range(len(a)):
             off = (h[k] - c[0] - c[1] * a[k] - c[2] * b[k] - c[3] * a[k] * a[k]) / _ON
@@ -306,7 +312,7 @@ def _state_of(centre, axes, c, a, b, h, cells, side, state):  # type: ignore[no-
 
 
 @_compiled
-def _fit(seeds, points, normals, buckets, starts, cells, side, near, bends, axes_of, states):  # type: ignore
+def _fit(seeds, points, normals, buckets, starts, cells, side, stiff, near, bends, axes_of, states):  # type: ignore
     """Writes the seeds about which there is a sheet with gaps over the first of `seeds`, and its bends, axes, and the
     states of its nodes; returns how many there are."""
     found = 0
@@ -328,7 +334,9 @@ def _fit(seeds, points, normals, buckets, starts, cells, side, near, bends, axes
                 count += 1
         if count < _LEAST or _occupied(a[:count], b[:count], REACH) > _FULL * _WIDTH * _WIDTH:
             continue
-        c = _curved(a[:count], b[:count], h[:count], REACH)
+        # Along axes[1] as axes[2] lies, the vertical rises by n[2] for axes[1, 2].
+        steep = abs(n[2]) < _STEEP
+        c = _curved(a[:count], b[:count], h[:count], REACH, n[2] / axes[1, 2] if steep else 0.0, stiff * steep)
         own = 0
         for k in range(count):
             own += abs(h[k] - c[0] - c[1] * a[k] - c[2] * b[k] - c[3] * a[k] * a[k]) < _ON

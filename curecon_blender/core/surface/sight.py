@@ -53,7 +53,8 @@ class Glance:
 
 class Sight:
     """The depth maps of a component's photos, read one after another, and `views`, all of its cameras. `turn` (3,3)
-    takes the site's axes to those of the places asked about. `each` is called for every depth map that is read."""
+    takes the site's axes to those of the places asked about. `z_up`: whether the site's Z is known to be up. `each` is
+    called for every depth map that is read."""
 
     def __init__(
         self, component: Component, workspace: Path, reporter: Reporter, turn: np.ndarray | None = None
@@ -61,7 +62,7 @@ class Sight:
         self.views = [_turned(view, turn) for view in component.views]
         self._told = [view for view in component.views if depth_path(workspace, view.name).exists()]
         self._workspace, self._reporter, self._turn = workspace, reporter, turn
-        self._z_up = component.frame.up != "given"
+        self.z_up = component.frame.up != "given"
         self._skies: dict[str, np.ndarray] = {}
         self.each: Callable[[], None] = lambda: None
 
@@ -82,7 +83,7 @@ class Sight:
             depth = np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
             confidence = np.nan_to_num(confidence.astype(np.float32))
             sure = (confidence >= SURE) & (depth > 0)
-            if self._z_up:
+            if self.z_up:
                 sky = self._sky(view, picture, confidence)
                 depth[sky] = np.inf
                 sure[sky] = True
