@@ -6,8 +6,8 @@ Poisson closes everything: it spans the sky between two roofs as readily as a mi
 the cloud holds, and each piece of its surface is asked what carries it:
 
 * what two photos or more measured is *measured*, what one sure photo alone tells is *weak* (sight.py);
-* where walls, roofs and ground go on over a gap that no photo looks through (continuation.py), and small flat pieces
-  with supported surface all around, are *filled*;
+* where walls, roofs and ground go on over a gap that no photo looks through (continuation.py), walls that stand unseen
+  under eaves (eaves.py), and small flat pieces with supported surface all around, are *filled*;
 * anything else (balloons, skirts beyond the site's edge, bags under eaves) is cut away, along an iso-line of how far
   the nearest point is (borders.py).
 
@@ -34,6 +34,7 @@ from .borders import clip, smoothed
 from .clean import clean, drop_small_parts, orient, worth_keeping
 from .continuation import continued
 from .crossing import uncrossed
+from .eaves import under_eaves
 from .extent import FAR, NEAR, find_building, within
 from .mesh import Mesh, MeshError
 from .poisson import poisson, read_triangles, simplify, write_triangles
@@ -53,7 +54,7 @@ _REGION_MARGIN = 10.0  # median spacings: what lies just outside the region stil
 
 
 SHARES = (25, 35, 15, 15, 10)  # per cent of the time that each step takes
-_PASSES = 3  # times that each depth map is read
+_PASSES = 4  # times that each depth map is read
 WAITS = 15.0, 10.0  # seconds in which a million points go half through Poisson, and a million faces to fewer
 
 
@@ -100,8 +101,13 @@ def build_mesh(
     spacing = median_spacing(cloud.points)
     gaps = cloud.take(np.zeros(0, np.int64))
     if options.fill_holes and sight:
-        gaps = continued(cloud.take(within(cloud.points, sight.views, spacing, NEAR)), spacing, sight)
+        subject = cloud.take(within(cloud.points, sight.views, spacing, NEAR))
+        gaps = continued(subject, spacing, sight)
         reporter.log(f"{len(gaps)} points continue walls, roofs and ground over gaps.")
+        if sight.z_up:
+            walls = under_eaves(subject, gaps, spacing, sight)
+            reporter.log(f"{len(walls)} points stand for walls under eaves that no photo saw.")
+            gaps = joined(gaps, walls)
     if options.extent == "building":
         building, standing = find_building(cloud, sight.views if sight else (), spacing)
         cloud, local_spacing = cloud.take(standing), local_spacing[standing]

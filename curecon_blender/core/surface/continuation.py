@@ -21,7 +21,7 @@ from numba import njit
 
 from ..cloud.ply import Cloud
 from .cells import cell_numbers
-from .sight import Sight, looked_through
+from .sight import FINE, Sight, looked_through
 
 CELL = 2.5  # spacings: side of the cells that points are gathered in, and of the lattice of a sheet
 REACH = 14  # cells: half the side of the square that a sheet is fitted in
@@ -40,7 +40,6 @@ _STEEP = 0.5  # of a normal's z: what is steeper is a wall and goes on until som
 # or by few photos, what was measured of it leans; on its way up to the eave that would add up.
 _PLUMB = 5e3
 _RECESS = 4  # cells behind a gap: a surface measured there says that it is none
-_FINE = 0.006  # of the depth: by how much farther a photo must see to look through a gap
 _MOST_NEAR = 200_000  # points that a sheet is fitted to
 _BATCH = 4096  # sheets that are fitted at a time
 _GAP, _OWN, _BLOCKED, _EMPTY = 0, 1, 2, 3
@@ -69,14 +68,20 @@ def continued(cloud: Cloud, spacing: float, sight: Sight) -> Cloud:
     sheets, state = _sheets(grid, _PLUMB if sight.z_up else 0.0)
     gaps = np.flatnonzero(_bridged(state, sheets.steep))
     places, directions = sheets.nodes(gaps, grid)
-    state[gaps[looked_through(places, sight, _FINE) > 0]] = _EMPTY
+    state[gaps[looked_through(places, sight, FINE) > 0]] = _EMPTY
     length = _bridged(state, sheets.steep)[gaps]
     found = np.flatnonzero(length > 0)
     kept = found[_shortest_first(places[found], length[found], side)]
     points, normals = _spread(places[kept], directions[kept], side)
+    return unseen(points, normals, cloud)
+
+
+def unseen(points: np.ndarray, normals: np.ndarray, cloud: Cloud) -> Cloud:
+    """Points and normals (n,3) that no photo saw (0 views), as sure as those of `cloud` are."""
     count = len(points)
-    return Cloud(points=points, colours=np.full((count, 3), 128, np.uint8), normals=normals,
-                 confidence=np.full(count, np.median(cloud.confidence), np.float32), views=np.zeros(count, np.uint8))
+    return Cloud(points=points.astype(np.float32), colours=np.full((count, 3), 128, np.uint8),
+                 normals=normals.astype(np.float32), views=np.zeros(count, np.uint8),
+                 confidence=np.full(count, np.median(cloud.confidence), np.float32))
 
 
 def _spread(places: np.ndarray, normals: np.ndarray, side: float) -> tuple[np.ndarray, np.ndarray]:

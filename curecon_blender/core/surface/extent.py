@@ -84,9 +84,9 @@ def find_building(cloud: Cloud, views: Sequence[View], spacing: float) -> tuple[
     side = _COLUMN * spacing
     low = cloud.points[:, :2].min(axis=0) - side
     column = _columns(cloud.points, low, side)
-    ground = _ground(cloud.points[:, 2], column, side)
+    ground = ground_below(cloud.points[:, 2], column, side)
     height = cloud.points[:, 2] - ground[*column]
-    smooth = _smoothness(cloud, _TUFT * spacing)
+    smooth = smoothness(cloud, _TUFT * spacing)
     walls = (height > side) & (smooth > _SMOOTH)
     tall = float(np.quantile(height[walls], 0.95)) if walls.any() else 0.0
     stands = np.zeros(ground.shape, bool)
@@ -114,8 +114,8 @@ def _columns(points: np.ndarray, low: np.ndarray, side: float) -> np.ndarray:
     return numbers
 
 
-def _ground(heights: np.ndarray, column: np.ndarray, side: float) -> np.ndarray:
-    """The ground's height in each column (w,h)."""
+def ground_below(heights: np.ndarray, column: np.ndarray, side: float) -> np.ndarray:
+    """The ground's height in each column (w,h), from the `heights` (n,) of points and the `column` (2,n) of each."""
     shape = tuple(column.max(axis=1) + 2)
     layer = np.floor((heights - heights.min()) / side).astype(np.int64)
     key = np.ravel_multi_index((*column, layer), (*shape, layer.max() + 1))
@@ -135,7 +135,7 @@ def _ground(heights: np.ndarray, column: np.ndarray, side: float) -> np.ndarray:
         lowest = ground
 
 
-def _smoothness(cloud: Cloud, side: float) -> np.ndarray:
+def smoothness(cloud: Cloud, side: float) -> np.ndarray:
     """The length (n,) of the mean normal of each point's cube and the 26 about it, each cube by itself."""
     number = cell_numbers(cloud.points, cloud.points.min(axis=0) - 2 * side, side)
     cubes, cube, count = np.unique(number, return_inverse=True, return_counts=True)

@@ -32,6 +32,7 @@ from .cells import STEPS, cell_numbers
 
 SURE = 0.5  # confidence from which on a photo says what is empty
 _ALONE = 0.7  # confidence from which on one photo alone says what is there
+FINE = 0.006  # of the depth: by how much farther a photo must see to look through a gap
 _THROUGH = 0.02  # of the depth: a sure photo that sees that much farther looks through a place
 _EXPLAINED = 0.03  # of the depth: a pixel whose depth lies that near to the cloud's adds nothing
 _NEAR = 20.0  # spacings: side of the cubes about the cloud's points that a weak point may lie in
