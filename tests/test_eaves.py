@@ -55,5 +55,11 @@ def test_no_wall_stands_where_one_was_seen_or_none_is_known_or_a_photo_looks_thr
     assert not (np.abs(found.points[:, 0]) < LONG - JUT).any()
 
 
+def test_where_photos_saw_no_farther_a_roof_does_not_end() -> None:
+    site = house()
+    seen = made(site.take(site.points[:, 1] > -WIDE - JUT))
+    assert not (np.abs(seen.points[:, 0]) < LONG - JUT).any()
+
+
 def test_a_cloud_of_bare_ground_has_no_eaves() -> None:
     assert len(made(plane((-4, -4, 0), (8, 0, 0), (0, 8, 0)))) == 0

@@ -36,6 +36,7 @@ _JUTTING = 0.6  # of an eave's height: so far in a wall is looked for
 _BETWEEN = 0.1, 0.8  # of the same: what is measured lower or higher is the ground or the edge of the roof
 _ABOUT = 5.0  # columns along an edge that decide together
 _WALLED, _BARE = 0.3, 0.15  # of an eave's height: walls measured under it that stand, that are none
+_BESIDE = 0.5  # of the edge columns about one, that something was measured beside and far below
 _FEWEST = 20  # edge columns with a wall under them that tell how far a roof juts out
 _ALIKE = 0.5  # of that length: how much half of them differ at most
 _OPEN = 0.2  # of a wall that photos look through: it is none
@@ -83,7 +84,8 @@ def under_eaves(cloud: Cloud, gaps: Cloud, spacing: float, sight: Sight) -> Clou
         steep = [part.take(np.abs(part.normals[:, 2]) < _STEEP) for part in (cloud, gaps)]
         walls = np.concatenate([part.points for part in steep]).astype(np.float64)
         facing = np.concatenate([part.normals for part in steep]).astype(np.float64)
-        points, normals, edge = _stand(roofs, _juts(roofs, walls, facing), spacing)
+        juts = np.where(_ends(roofs, cloud.points), _juts(roofs, walls, facing), np.nan)
+        points, normals, edge = _stand(roofs, juts, spacing)
         apart = _APART * roofs.side
         alone = np.isinf(cKDTree(walls).query(points, distance_upper_bound=apart, workers=-1)[0]) if len(walls) else (
             np.ones(len(points), bool))
@@ -129,6 +131,16 @@ def _find_roofs(cloud: Cloud, spacing: float) -> _Roofs:
     lowest = -ndimage.maximum_filter(np.where(np.isfinite(top), -top, -np.inf), 3)
     return _Roofs(low, side, top, depth, out, edge_of, low + side * (np.stack([x, y], axis=1) + 0.5), ground[x, y],
                   np.where(np.isfinite(lowest), lowest, ground)[x, y], part[x, y])
+
+
+def _ends(roofs: _Roofs, points: np.ndarray) -> np.ndarray:
+    """Whether a roof truly ends at each edge column, (e,) bool: some of `points` (n,3) lie far below, just outside.
+    Else that may be as far as photos saw it, such as a ridge from the ground."""
+    column = roofs.columns(points)
+    edge, depth = roofs.edge_of[*column], roofs.depth[*column]
+    height = roofs.height[edge]
+    below = (depth < 0) & (depth > -_JUTTING * height) & (points[:, 2] < roofs.ground[edge] + 0.5 * height)
+    return roofs.along_edges(np.bincount(edge[below], minlength=len(roofs.places)) > 0) > _BESIDE
 
 
 def _juts(roofs: _Roofs, walls: np.ndarray, facing: np.ndarray) -> np.ndarray:
