@@ -13,6 +13,7 @@ import numpy as np
 from ..base.messages import Reporter
 from .blending import Shares
 from .charts import PADDING, Layout
+from .levelling import Levelling
 from .photo_sources import Source
 from .rasterise import blend_photo, scan_convert
 from .visibility import in_camera
@@ -22,7 +23,7 @@ from .visibility import in_camera
 class Bake:
     """All that is known before the photos are read at full size.
 
-    `shares`, how much each photo counts for a face; `gains` (V,3), the factors of the photos' sRGB values; `colours`
+    `shares`, how much each photo counts for a face; `levelling`, the factors of the photos' sRGB values; `colours`
     (N,3) uint8, for the faces that no photo shows.
     """
 
@@ -30,7 +31,7 @@ class Bake:
     faces: np.ndarray
     shares: Shares
     layout: Layout
-    gains: np.ndarray
+    levelling: Levelling
     colours: np.ndarray
 
     bytes_per_texel = 16 + 3 + 1 + 8  # sums of colours and of weights, the page, what is covered; filling of the gaps
@@ -54,7 +55,8 @@ def bake(
         picture, K = source.read(layout.scale, reporter)
         points = in_camera(plan.vertices, source.view)[plan.faces[face]]
         blend_photo(layout.corners[face], layout.page[face] - numbers.start, layout.border[face], points, weight, K,
-                    picture, plan.gains[number].astype(np.float32), total)
+                    picture, plan.levelling.gains[number].astype(np.float32),
+                    plan.levelling.lens[number].astype(np.float32), total)
     unseen = np.flatnonzero(here & ~plan.shares.seen)
     for index, page in enumerate(numbers):
         face = unseen[layout.page[unseen] == page]

@@ -13,11 +13,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import scipy.sparse as sp
-from scipy.sparse.linalg import spsolve
 
 from ..base.graphs import connected_components
-from .candidates import CANDIDATES, UNSEEN, Candidates
+from .candidates import UNSEEN, Candidates
 
 _NOTHING = -2  # stands beside the photos as a choice: no photo at all
 _NOTHING_COST = 1.5  # for a face that no photo measured
@@ -33,51 +31,11 @@ _EDGE = 0.5  # cost of an edge between two photos
 _TEMPERATURES = np.geomspace(0.6, 0.05, 12)
 _CLEAN_UP, _ROUNDS = 10, 10  # of absorbing small patches, and of smoothing edges
 _SMALL = 100  # faces: patches below it go to a neighbour that can take them
-_GAIN_FACES = 40_000  # a sample of faces is plenty to tell exposures
-_GAIN_PRIOR = 1e-3
 _BLOCK = 1 << 17
 
 
-def exposure_gains(candidates: Candidates, views: int) -> np.ndarray:
-    """Factors (V,3) by which the photos' sRGB values agree best where they see the same faces; 1 on average.
-
-    From the median ratio of every pair of photos, so that moving things and shine do not count.
-    """
-    seen = np.flatnonzero((candidates.quality > 0).sum(axis=1) > 1)
-    if len(seen) > _GAIN_FACES:
-        seen = np.random.default_rng(0).choice(seen, _GAIN_FACES, replace=False)
-    view, colour = candidates.view[seen].astype(np.int64), candidates.colour[seen].astype(np.float32)
-    usable = (candidates.quality[seen] > 0) & (colour.min(axis=2) > 8) & (colour.max(axis=2) < 250)
-    log = np.log(np.maximum(colour, 1))
-    first, second = np.triu_indices(CANDIDATES, 1)
-    both = usable[:, first] & usable[:, second]
-    row, pair = np.nonzero(both)
-    a, b = view[row, first[pair]], view[row, second[pair]]
-    ratio = log[row, first[pair]] - log[row, second[pair]]
-    swap = a > b
-    a, b, ratio = np.where(swap, b, a), np.where(swap, a, b), np.where(swap[:, None], -ratio, ratio)
-    key = a * views + b
-    gains = np.zeros((views, 3))
-    pairs, start, count = np.unique(np.sort(key), return_index=True, return_counts=True)
-    if not len(pairs):
-        return np.ones((views, 3))
-    weight = np.sqrt(count)
-    p, q = np.divmod(pairs, views)
-    rows = np.repeat(np.arange(len(pairs)), 2)
-    difference = sp.csr_array(
-        (np.tile([1.0, -1.0], len(pairs)), (rows, np.stack([p, q], axis=1).ravel())), shape=(len(pairs), views)
-    )
-    normal = difference.T @ sp.diags_array(weight) @ difference
-    normal = sp.csc_array(normal + sp.diags_array(np.full(views, _GAIN_PRIOR * max(weight.sum() / views, 1e-9))))
-    for channel in range(3):
-        order = np.lexsort((ratio[:, channel], key))
-        median = ratio[order, channel][start + count // 2]
-        gains[:, channel] = spsolve(normal, difference.T @ (weight * -median))
-    return np.exp(gains - gains.mean(axis=0))
-
-
 def choose_photos(
-    candidates: Candidates, gains: np.ndarray, anchor: np.ndarray, trusted: np.ndarray, neighbours: np.ndarray
+    candidates: Candidates, anchor: np.ndarray, trusted: np.ndarray, neighbours: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """The photo that each face is laid out by, (M,) int16, UNSEEN where there is none; and how much each of its
     candidates counts for its colour, (M,K) float32, 0 for those that show it poorly or otherwise than the others do.
@@ -90,7 +48,7 @@ def choose_photos(
     cost = np.where(candidates.quality > 0, 0, np.float32(np.inf)).astype(np.float32)
     for start in range(0, len(cost), _BLOCK):
         block = slice(start, start + _BLOCK)
-        cost[block] += _data_cost(candidates, block, gains, anchor[block], trusted[block])
+        cost[block] += _data_cost(candidates, block, anchor[block], trusted[block])
     # No photo at all is one more choice, so that smoothing rounds off the outlines of unseen parts too.
     nothing = np.where(np.isfinite(cost).any(axis=1), np.where(trusted, np.inf, _NOTHING_COST), 0)
     cost = np.column_stack([cost, nothing.astype(np.float32)])
@@ -103,14 +61,12 @@ def choose_photos(
     return label, (worth / np.maximum(worth.max(axis=1, keepdims=True), np.finfo(np.float32).tiny)) ** _SHARPER
 
 
-def _data_cost(
-    candidates: Candidates, block: slice, gains: np.ndarray, anchor: np.ndarray, trusted: np.ndarray
-) -> np.ndarray:
-    view, quality = candidates.view[block], candidates.quality[block]
+def _data_cost(candidates: Candidates, block: slice, anchor: np.ndarray, trusted: np.ndarray) -> np.ndarray:
+    quality = candidates.quality[block]
     valid = quality > 0
     share = np.maximum(quality, 0) / np.maximum(quality.max(axis=1, keepdims=True), 1e-30)
     poorer = 1 - share + np.float32(_USELESS_COST) * np.maximum(1 - share / _USELESS, 0)
-    colour = candidates.colour[block] * gains[view].astype(np.float32)
+    colour = candidates.colour[block].astype(np.float32)
     votes = np.concatenate([np.where(valid[..., None], colour, np.inf),
                             np.where(trusted[:, None, None], anchor[:, None].astype(np.float32), np.inf)], axis=1)
     count = valid.sum(axis=1) + trusted

@@ -175,10 +175,11 @@ def _keep_nearest_face(corners, nearness, faces, weights):  # type: ignore[no-un
 
 
 @_compiled
-def blend_photo(corners, pages, border, points, weights, K, picture, gain, total):  # type: ignore[no-untyped-def]
+def blend_photo(corners, pages, border, points, weights, K, picture, gain, lens, total):  # type: ignore[no-untyped-def]
     """Add a photo's colours to the texels of triangles: `corners` (M,3,2) on `pages` (M,), whose points in the camera's
     frame are `points` (M,3,3) and the photo's weights there `weights` (M,3). `picture` (H,W,3) uint8 with `K` (3,3) and
-    `gain` (3,); `total` (P,S,S,4) float32, sums of weighted colours and of weights, is added to.
+    `gain` (3,) and `lens` (2,) of levelling.py; `total` (P,S,S,4) float32, sums of weighted colours and of weights, is
+    added to.
 
     The texel's place in the photo is found by way of the point in space: right also where a large face is seen at an
     angle. Triangles at the `border` (M,) of a chart, and those that cover no texel's centre, also colour the texels
@@ -195,15 +196,17 @@ def blend_photo(corners, pages, border, points, weights, K, picture, gain, total
             first, end = _columns(triangle, row, size)
             for column in range(first, end):
                 a, b, c = _weights(triangle, slopes, column, row)
-                _add(points[face], weights[face], a, b, c, np.float32(1), K, picture, gain, total[page, row, column],
-                     colour)
+                _add(points[face], weights[face], a, b, c, np.float32(1), K, picture, gain, lens,
+                     total[page, row, column], colour)
                 hit = True
         if border[face] or not hit:
-            _add_around(triangle, slopes, points[face], weights[face], K, picture, gain, total[page], colour)
+            _add_around(triangle, slopes, points[face], weights[face], K, picture, gain, lens, total[page], colour)
 
 
 @_compiled
-def _add_around(triangle, slopes, points, weights, K, picture, gain, total, colour):  # type: ignore[no-untyped-def]
+def _add_around(  # type: ignore[no-untyped-def]
+    triangle, slopes, points, weights, K, picture, gain, lens, total, colour
+):
     """Add the photo's colours to the texels within one texel of a triangle, with next to no weight."""
     size = len(total)
     x0, x1, x2 = triangle[0, 0], triangle[1, 0], triangle[2, 0]
@@ -220,11 +223,11 @@ def _add_around(triangle, slopes, points, weights, K, picture, gain, total, colo
                     a = b = c = np.float32(1 / 3)
             least = min(a, b, c)
             _add(points, weights, a, b, c, np.float32(1e-6) / (np.float32(1) + least * least), K, picture, gain,
-                 total[row, column], colour)
+                 lens, total[row, column], colour)
 
 
 @_compiled
-def _add(points, weights, a, b, c, times, K, picture, gain, total, colour):  # type: ignore[no-untyped-def]
+def _add(points, weights, a, b, c, times, K, picture, gain, lens, total, colour):  # type: ignore[no-untyped-def]
     """Add the photo's colour, times the weight, at one place of a triangle to `total` (4,)."""
     x = a * points[0, 0] + b * points[1, 0] + c * points[2, 0]
     y = a * points[0, 1] + b * points[1, 1] + c * points[2, 1]
@@ -233,8 +236,10 @@ def _add(points, weights, a, b, c, times, K, picture, gain, total, colour):  # t
         return
     weight = times * max(a * weights[0] + b * weights[1] + c * weights[2], min(weights[0], weights[1], weights[2]))
     _cubic(picture, K[0, 0] * x / z + K[0, 1] * y / z + K[0, 2], K[1, 1] * y / z + K[1, 2], colour)
+    off_axis = (x * x + y * y) / (z * z)
+    levelled = weight * np.exp(off_axis * (lens[0] + off_axis * lens[1]))
     for channel in range(3):
-        total[channel] += weight * gain[channel] * colour[channel]
+        total[channel] += levelled * gain[channel] * colour[channel]
     total[3] += weight
 
 

@@ -3,8 +3,9 @@
 """A texture for a mesh from the photos: the mean of those that show a place well and alike, on pages.
 
 1. Every photo, one at a time, says which faces it sees and how well (visibility.py, candidates.py).
-2. Each face chooses the photos that colour it, without outliers, and one that it is laid out by, so that patches are
-   large (labelling.py).
+2. The photos' exposures and their lenses' falloffs are told from faces that several photos show (levelling.py). Each
+   face chooses the photos that colour it, without outliers, and one that it is laid out by, so that patches are large
+   (labelling.py).
 3. Patches become charts, laid out as their photos see them, and are packed into pages (charts.py).
 4. Photos count for a texel by how well they show it, gradually (blending.py). Colours of vertices are made first: they
    spread to what no photo shows (diffusion.py).
@@ -26,7 +27,7 @@ from ..base.errors import SurfaceError
 from ..base.files import atomic_write
 from ..base.language import Text
 from ..base.messages import Reporter
-from ..base.records import Component
+from ..base.records import Component, View
 from ..base.sampling import sample
 from ..surface.mesh import Mesh
 from ..surface.triangles import face_neighbours
@@ -35,7 +36,8 @@ from .blending import Shares
 from .candidates import Candidates, add_candidates
 from .charts import Layout, lay_out
 from .diffusion import diffuse
-from .labelling import choose_photos, exposure_gains
+from .labelling import choose_photos
+from .levelling import Levelling, find_levelling, off_axis
 from .photo_sources import Source, find_sources
 from .visibility import in_camera, project, smooth_normals
 
@@ -64,12 +66,12 @@ class TextureOptions:
 
 @dataclass(frozen=True)
 class _Labelling:
-    """Each face's photo `label` (M,) int16, -1 for none; `shares`, how much each photo counts for it; `gains` (V,3),
-    the factors that photos' sRGB values are multiplied by."""
+    """Each face's photo `label` (M,) int16, -1 for none; `shares`, how much each photo counts for it; `levelling`,
+    what photos' sRGB values are multiplied by."""
 
     label: np.ndarray
     shares: Shares
-    gains: np.ndarray
+    levelling: Levelling
 
 
 def texture_mesh(
@@ -89,7 +91,7 @@ def texture_mesh(
     layout = _lay_out(mesh, labelling, neighbours, sources, options)
     colours = _colours(mesh, sources, labelling, reporter)
     plan = Bake(vertices=mesh.vertices, faces=mesh.faces, shares=labelling.shares,
-                layout=layout, gains=labelling.gains, colours=colours)
+                layout=layout, levelling=labelling.levelling, colours=colours)
     names = _write(folder, _encoded_pages(plan, sources, options, reporter), options)
     uv = layout.corners / layout.size
     uv[..., 1] = 1 - uv[..., 1]
@@ -111,6 +113,17 @@ def colour_vertices(mesh: Mesh, component: Component, workspace: Path, reporter:
     colours = _colours(mesh, sources, labelling, reporter)
     reporter.progress(100, 100)
     return replace(mesh, colours=colours, unseen=~labelling.shares.seen, uv=None, page=None, pages=())
+
+
+def level_photos(
+    mesh: Mesh, component: Component, workspace: Path, options: TextureOptions, reporter: Reporter
+) -> tuple[list[View], Levelling]:
+    """How texture_mesh levels photos, and which. Raises TextureError."""
+    _check(mesh, options)
+    sources = _sources(component, workspace, options, reporter)
+    views = [source.view for source in sources]
+    candidates = _candidates(mesh, sources, reporter)
+    return views, find_levelling(candidates, mesh.vertices[mesh.faces].mean(axis=1), views)
 
 
 def _check(mesh: Mesh, options: TextureOptions) -> None:
@@ -153,10 +166,8 @@ def _progress(reporter: Reporter, share: tuple[float, float], done: int, total: 
     reporter.progress(round(100 * (share[0] + share[1] * done / total) / _PASSES), 100)
 
 
-def _label(
-    mesh: Mesh, sources: list[Source], neighbours: np.ndarray, options: TextureOptions, reporter: Reporter
-) -> _Labelling:
-    """Steps 1 and 2. Raises TextureError when no photo shows a face."""
+def _candidates(mesh: Mesh, sources: list[Source], reporter: Reporter) -> Candidates:
+    """Step 1. Raises TextureError when no photo shows a face."""
     candidates = Candidates.empty(len(mesh.faces))
     normals = smooth_normals(mesh.vertices, mesh.faces)
     for number, source in enumerate(sources):
@@ -167,11 +178,21 @@ def _label(
             "No photo shows any face of the mesh.",
             remedy="Make sure that the mesh belongs to this reconstruction, or build it again.",
         )
-    gains = exposure_gains(candidates, len(sources))
+    return candidates
+
+
+def _label(
+    mesh: Mesh, sources: list[Source], neighbours: np.ndarray, options: TextureOptions, reporter: Reporter
+) -> _Labelling:
+    """Steps 1 and 2. Raises TextureError when no photo shows a face."""
+    candidates = _candidates(mesh, sources, reporter)
+    centroids, views = mesh.vertices[mesh.faces].mean(axis=1), [source.view for source in sources]
+    levelling = find_levelling(candidates, centroids, views)
+    levelling.apply(candidates, centroids, views)
     anchor = mesh.colours[mesh.faces].mean(axis=1).astype(np.uint8)
-    label, weight = choose_photos(candidates, gains, anchor, ~mesh.filled, neighbours)
+    label, weight = choose_photos(candidates, anchor, ~mesh.filled, neighbours)
     shares = Shares(candidates.view, weight, mesh.faces, len(mesh.vertices))
-    return _Labelling(label, shares, gains if options.level else np.ones_like(gains))
+    return _Labelling(label, shares, levelling if options.level else Levelling.none(len(sources)))
 
 
 def _lay_out(
@@ -201,8 +222,9 @@ def _colours(mesh: Mesh, sources: list[Source], labelling: _Labelling, reporter:
         picture = cv2.GaussianBlur(images.read_rgb(source.picture), (3, 3), 0)
         corner = mesh.faces[face].ravel()
         vertex, first = np.unique(corner, return_index=True)
-        pixels = project(in_camera(mesh.vertices[vertex], source.view), source.view.K)
-        colour = sample(picture, *pixels.T) * labelling.gains[number]
+        points = in_camera(mesh.vertices[vertex], source.view)
+        pixels = project(points, source.view.K)
+        colour = sample(picture, *pixels.T) * labelling.levelling.factors(number, off_axis(points))
         total[vertex] += weight.ravel()[first, None] * np.column_stack([colour, np.ones(len(vertex))])
     seen = np.zeros(len(mesh.vertices), bool)
     seen[mesh.faces[labelling.shares.seen]] = True
