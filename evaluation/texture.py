@@ -5,10 +5,10 @@
     python -m evaluation.texture WORKSPACE [--mesh FILE] [--every 8] [--page-size 4096] [--out FOLDER] [--json]
 
 The mesh of the workspace's first component is textured without every n-th view, with and without levelling of the
-photos, and rendered from the views left out, at the size of their undistorted pictures. PSNR (dB) and SSIM count
-the pixels that show a face which is measured and seen; SSIM's 7x7 window may reach beyond them. The photos' exposure
-differs, so both are also given after one gain for each photo and channel ("matched"), of a levelled texture as seen
-through the held-out photo's lens, whose falloff of light the other photos of its camera told. A *seam* is an edge whose two
+photos, and rendered from the views left out, at the size of their undistorted pictures. PSNR (dB) and SSIM count the
+pixels that show a face which is measured and seen; SSIM's 7x7 window may reach beyond them. The photos' exposure
+differs, so both are also given after one gain for each photo and channel, and of a levelled texture as seen through the
+photo's lens, whose falloff of light the other photos of its camera told ("matched"). A *seam* is an edge whose two
 faces lie in different charts; its step is the colour difference (CIEDE2000) that one sees across its middle; 1 is just
 noticeable. `--out` keeps renders beside photos.
 """
@@ -32,13 +32,13 @@ from curecon_blender.core.base import images
 from curecon_blender.core.base.errors import CuReconError
 from curecon_blender.core.base.graphs import connected_components
 from curecon_blender.core.base.messages import Reporter
-from curecon_blender.core.base.records import Component, View
+from curecon_blender.core.base.records import Component
 from curecon_blender.core.base.sampling import sample
 from curecon_blender.core.surface.mesh import Mesh, mesh_file, read_mesh
 from curecon_blender.core.surface.triangles import face_neighbours, triangle_areas
-from curecon_blender.core.texture.levelling import Levelling, lens_factor, off_axis_picture, same_camera
+from curecon_blender.core.texture.falloff import read_cameras, through_lens
 from curecon_blender.core.texture.rendering import matched, psnr, render
-from curecon_blender.core.texture.texture import TextureOptions, level_photos, texture_mesh
+from curecon_blender.core.texture.texture import TextureOptions, texture_mesh
 from curecon_blender.core.views import record as views_record
 
 
@@ -75,12 +75,11 @@ def evaluate(
         folder = Path(scratch)
         textured = texture_mesh(mesh, component, workspace, options, folder, Reporter())
         seconds, after = time.monotonic() - start, resource.getrusage(resource.RUSAGE_SELF)
-        pages = [images.read_rgb(folder / name) for name in textured.pages]
+        pages, cameras = [images.read_rgb(folder / name) for name in textured.pages], read_cameras(folder)
     assert textured.uv is not None
     areas = triangle_areas(textured.uv)
     use, small = float(areas.sum() / len(pages)), float((areas * pages[0].shape[0] ** 2 < 1).mean())
     charts, seams, step = seam_steps(textured, pages)
-    lenses = level_photos(mesh, component, workspace, options, Reporter()) if options.level else None
     scores = []
     for view in component.views:
         if view.name not in options.exclude:
@@ -90,9 +89,8 @@ def evaluate(
         counted = (shown >= 0) & textured.recorded[np.maximum(shown, 0)]
         if not counted.any():
             continue
-        as_taken = picture if lenses is None else _through_lens(picture, view, *lenses)
-        scores.append((*_compare(picture, photo, counted), *_compare(matched(as_taken, photo, counted), photo, counted),
-                       counted.mean()))
+        alike = matched(through_lens(picture, view, cameras), photo, counted)
+        scores.append((*_compare(picture, photo, counted), *_compare(alike, photo, counted), counted.mean()))
         if out is not None:
             images.write_jpeg(out / f"{view.name}_{'level' if options.level else 'raw'}.jpg",
                               np.concatenate([picture, photo], axis=1))
@@ -129,12 +127,6 @@ def seam_steps(mesh: Mesh, pages: list[np.ndarray]) -> tuple[int, float, float]:
         colours.append(rgb2lab(colour[None] / 255)[0])
     step = float(np.median(deltaE_ciede2000(*colours))) if apart.any() else 0.0
     return int(chart.max(initial=-1)) + 1, float(apart.mean()), step
-
-
-def _through_lens(picture: np.ndarray, view: View, others: list[View], levelling: Levelling) -> np.ndarray:
-    """The picture (H,W,3) float64 with the falloff of the view's lens, as the other photos of its camera told it."""
-    told = [lens for other, lens in zip(others, levelling.lens, strict=True) if same_camera(view, other)]
-    return picture / lens_factor(told[0], off_axis_picture(view))[..., None] if told else picture
 
 
 def _compare(picture: np.ndarray, photo: np.ndarray, counted: np.ndarray) -> tuple[float, float]:

@@ -256,7 +256,7 @@ def test_a_full_disk_leaves_the_earlier_texture(scene: tuple[Path, Component], m
 def test_jpeg_pages_take_the_place_of_png_pages(scene: tuple[Path, Component]) -> None:
     textured(scene)
     mesh, _ = textured(scene, jpeg=True)
-    assert [path.name for path in (scene[0] / "textured").iterdir()] == ["texture_0.jpg"] == list(mesh.pages)
+    assert [path.name for path in (scene[0] / "textured").glob("texture*")] == ["texture_0.jpg"] == list(mesh.pages)
 
 
 def test_a_thing_that_only_a_depth_map_knows_gives_no_texture(scene: tuple[Path, Component]) -> None:

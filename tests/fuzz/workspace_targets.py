@@ -26,6 +26,7 @@ def make_workspace(folder: Path) -> None:
     from curecon_blender.core.run.workspace import StageRecord, Workspace
     from curecon_blender.core.site import adjustment as alignment
     from curecon_blender.core.sparse.record import FRAME_FILE
+    from curecon_blender.core.texture.falloff import write_cameras
     from curecon_blender.core.views import record as components
 
     place = GeoPosition(latitude=24.6, longitude=117.0, altitude=530.0)
@@ -33,6 +34,7 @@ def make_workspace(folder: Path) -> None:
     views = (some_view(), replace(some_view(), name="2.jpg", sources=((PHOTO, 1.5),), overlaps=(PHOTO,)))
     component = Component(index=0, sparse="sparse/0", cloud="cloud.ply", frame=frame, views=views)
     components.write(folder, [component])
+    write_cameras(folder, views, np.array([[0.2, 0.1]] * 2))
     (folder / "sparse" / "0").mkdir(parents=True)
     write_json(folder / "sparse" / "0" / FRAME_FILE, asdict(frame))
     accuracy = Accuracy(adjusted=True, reprojection_error=0.5, gps=(PhotoResidual(name=PHOTO, off=(0.1, 0.2, -0.1)),),
@@ -77,6 +79,16 @@ def check_views(folder: Path) -> None:
         centres = np.array([view.centre for view in component.views]).reshape(-1, 3)
         alignment.gps_scale_sigma(component.frame, centres)
         json.dumps(components._component_to_json(component), allow_nan=False)
+
+
+def check_falloff(folder: Path) -> None:
+    from curecon_blender.core.texture.falloff import read_cameras, through_lens
+
+    for camera in read_cameras(folder):
+        if camera.width * camera.height < 1000:
+            view = replace(some_view(), width=camera.width, height=camera.height, K=camera.K)
+            seen = through_lens(np.ones((view.height, view.width, 3)), view, [camera])
+            assert np.isfinite(seen).all() and seen.max() <= 1 + 1e-6
 
 
 def check_frame(folder: Path) -> None:

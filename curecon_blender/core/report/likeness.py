@@ -14,6 +14,7 @@ from ..base import images
 from ..base.messages import Reporter
 from ..base.records import Component
 from ..surface.mesh import Mesh, textured_folder
+from ..texture.falloff import read_cameras, through_lens
 from ..texture.rendering import matched, psnr, render
 
 MOST = 9  # photos that are compared, evenly chosen
@@ -24,18 +25,18 @@ _GAP, _PAPER = 12, (255, 255, 255)
 
 @dataclass(frozen=True)
 class Likeness:
-    """`psnr` in dB of each photo that was compared, where the mesh shows what is measured and seen, after one gain a
-    channel; and of the one in the middle the photo beside the mesh. The photos are those that the texture was made of:
-    this is what meshing and texturing have lost, and no test by photos that took no part."""
+    """`psnr` in dB of each photo that was compared, where the mesh shows what is measured and seen, through the photo's
+    lens and after one gain a channel; and of the one in the middle the photo beside the mesh. The photos are those that
+    the texture was made of: this is what meshing and texturing have lost, and no test by photos that took no part."""
 
     psnr: list[float]
     pair: Image.Image | None
 
 
 def compare(textured: Mesh, component: Component, workspace: Path, reporter: Reporter) -> Likeness:
-    """Raises PhotoError for a picture of the workspace that is damaged, and Cancelled."""
+    """Raises PhotoError and WorkspaceError for a file of the workspace that is damaged, and Cancelled."""
     folder = workspace / textured_folder(component.index)
-    pages = [images.read_rgb(folder / page) for page in textured.pages]
+    pages, cameras = [images.read_rgb(folder / page) for page in textured.pages], read_cameras(folder)
     views = [view for view in component.views if (workspace / view.image).is_file()]
     if not pages or not views:
         return Likeness([], None)
@@ -46,7 +47,7 @@ def compare(textured: Mesh, component: Component, workspace: Path, reporter: Rep
         picture, _, shown = render(textured, pages, views[number])
         counted = (shown >= 0) & textured.recorded[np.maximum(shown, 0)]
         if picture.shape == photo.shape and counted.mean() >= LEAST_SHOWN:
-            picture = matched(picture, photo, counted)
+            picture = matched(through_lens(picture, views[number], cameras), photo, counted)
             picture[shown < 0] = _PAPER
             found.append((psnr(picture, photo, counted), _side_by_side(photo, picture)))
     found.sort(key=lambda one: one[0])

@@ -18,6 +18,7 @@ from scipy.sparse.linalg import spsolve
 
 from ..base.records import View
 from .candidates import CANDIDATES, Candidates
+from .falloff import DARKEST_CORNER, corner, factor, off_axis_picture
 
 _FACES = 40_000  # a sample of faces is plenty to tell exposures
 _DARK, _BRIGHT = 8, 250  # of 255: colours beyond tell nothing
@@ -25,15 +26,14 @@ _GAIN_PRIOR = 1e-3
 _PAIRS = 300_000  # a sample of colours of one face in two photos is plenty to tell the falloff
 _FEW = 50  # faces: two photos that share fewer say little
 _FALLOFF_PRIOR, _EXPOSURE_PRIOR = 0.2, 0.5  # standard deviations of logarithms, at the corner and of a photo
-_DARKEST_CORNER = 0.4
 _ROUNDS = 10  # of least squares with new weights
 _BLOCK = 1 << 17
 
 
 @dataclass(frozen=True)
 class Levelling:
-    """Factors of V photos' sRGB values: `gains` (V,3) times exp(a t + b t^2), where t is the squared tangent of the
-    angle from the optical axis and `lens` (V,2) holds a and b. The lens's mean over the picture is in the gains."""
+    """Factors of V photos' sRGB values: `gains` (V,3) times what undoes the falloff of each one's `lens` (V,2), as
+    falloff.py has it."""
 
     gains: np.ndarray
     lens: np.ndarray
@@ -44,7 +44,7 @@ class Levelling:
 
     def factors(self, photo: int | np.ndarray, t: np.ndarray) -> np.ndarray:
         """Factors (...,3) at `t` (...) of one photo, or of a photo (...) for each."""
-        result: np.ndarray = self.gains[photo] * lens_factor(self.lens[photo], t)[..., None]
+        result: np.ndarray = self.gains[photo] * factor(self.lens[photo], t)[..., None]
         return result
 
     def apply(self, candidates: Candidates, centroids: np.ndarray, views: Sequence[View]) -> None:
@@ -56,28 +56,9 @@ class Levelling:
             candidates.colour[block] = np.clip(np.rint(levelled), 0, 255)
 
 
-def lens_factor(lens: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """What undoes the falloff of a `lens` (...,2) at `t` (...), 1 on the axis."""
-    result: np.ndarray = np.exp(t * (lens[..., 0] + t * lens[..., 1]))
-    return result
-
-
-def off_axis(points: np.ndarray) -> np.ndarray:
-    """t (n,) of points (n,3) in the camera's frame."""
-    result: np.ndarray = (points[:, 0] ** 2 + points[:, 1] ** 2) / points[:, 2] ** 2
-    return result
-
-
-def off_axis_picture(view: View, step: int = 1) -> np.ndarray:
-    """t at every `step`-th pixel of a view's picture."""
-    x = (np.arange(0.5, view.width, step) - view.K[0, 2]) / view.K[0, 0]
-    y = (np.arange(0.5, view.height, step) - view.K[1, 2]) / view.K[1, 1]
-    return (x**2 + y[:, None] ** 2).astype(np.float32)
-
-
 def find_levelling(candidates: Candidates, centroids: np.ndarray, views: Sequence[View]) -> Levelling:
     """What makes the photos `views` agree best where they see the same faces; `centroids` (M,3). The gains are 1 on
-    average, and the lens's factor is over each picture.
+    average over the photos, and with the lens over each picture.
 
     Both by medians, or robust least squares, of the ratios of pairs of photos, so that moving things and shine do not
     count.
@@ -90,18 +71,9 @@ def find_levelling(candidates: Candidates, centroids: np.ndarray, views: Sequenc
     log = np.log(np.maximum(colour, 1))
     t = _off_axis(centroids[seen], view, views)
     lens = _lenses(view, usable, log.mean(axis=2), t, views)
-    mean = np.array([lens_factor(*pair).mean() for pair in zip(lens, (off_axis_picture(v, 8) for v in views), strict=True)])
-    log += np.log(lens_factor(lens[view], t) / mean[view])[..., None]
+    mean = np.array([factor(*pair).mean() for pair in zip(lens, (off_axis_picture(v, 8) for v in views), strict=True)])
+    log += np.log(factor(lens[view], t) / mean[view])[..., None]
     return Levelling(_gains(view, usable, log, len(views)) / mean[:, None], lens)
-
-
-def same_camera(a: View, b: View) -> bool:
-    """Whether two undistorted photos are of one camera of the sparse model: then their K is the same."""
-    return _camera(a) == _camera(b)
-
-
-def _camera(view: View) -> tuple[int, int, bytes]:
-    return view.width, view.height, view.K.tobytes()
 
 
 def _off_axis(points: np.ndarray, view: np.ndarray, views: Sequence[View]) -> np.ndarray:
@@ -110,15 +82,9 @@ def _off_axis(points: np.ndarray, view: np.ndarray, views: Sequence[View]) -> np
     ray = (points[:, None] - centres[view]).astype(np.float32)
     depth = np.einsum("nkc,nkc->nk", ray, axes.astype(np.float32)[view])
     square = np.einsum("nkc,nkc->nk", ray, ray)
-    corner = np.array([_corner(v) for v in views], np.float32)
-    result: np.ndarray = np.clip(square / np.maximum(depth**2, np.finfo(np.float32).tiny) - 1, 0, corner[view])
+    farthest = np.array([corner(v) for v in views], np.float32)
+    result: np.ndarray = np.clip(square / np.maximum(depth**2, np.finfo(np.float32).tiny) - 1, 0, farthest[view])
     return result
-
-
-def _corner(view: View) -> float:
-    """t at the farthest corner of a view's picture."""
-    x, y = (max(view.K[i, 2], size - view.K[i, 2]) / view.K[i, i] for i, size in enumerate((view.width, view.height)))
-    return float(x**2 + y**2)
 
 
 def _gains(view: np.ndarray, usable: np.ndarray, log: np.ndarray, views: int) -> np.ndarray:
@@ -160,9 +126,10 @@ def _lenses(
     as one observation, however many faces it shares, and few of them do not move a lens far from having no falloff.
     """
     photos = len(views)
-    cameras = {key: number for number, key in enumerate(dict.fromkeys(map(_camera, views)))}
-    camera = np.array([cameras[_camera(view)] for view in views])
-    corner = np.array([_corner(v) for v in views])
+    keys = [(v.width, v.height, v.K.tobytes()) for v in views]
+    cameras = {key: number for number, key in enumerate(dict.fromkeys(keys))}
+    camera = np.array([cameras[key] for key in keys])
+    farthest = np.array([corner(v) for v in views])
     first, second = np.triu_indices(CANDIDATES, 1)
     row, pair = np.nonzero(usable[:, first] & usable[:, second])
     if len(row) > _PAIRS:
@@ -173,7 +140,7 @@ def _lenses(
     rows, entries, columns = [], [], []
     for sign, slot in ((1, first[pair]), (-1, second[pair])):
         photo = view[row, slot]
-        square = t[row, slot] / corner[photo]
+        square = t[row, slot] / farthest[photo]
         rows += 3 * [np.arange(len(row))]
         columns += [photo, photos + 2 * camera[photo], photos + 2 * camera[photo] + 1]
         entries += [np.full(len(row), float(sign)), sign * (square**2 / 2 - square), sign * -(square**2) / 2]
@@ -194,8 +161,8 @@ def _lenses(
         normal = told.T @ weights @ told + sp.diags_array(prior)
         solution = _without_negatives(sp.csc_array(normal), told.T @ (weights @ ratio), photos)
     p, q = solution[photos:].reshape(-1, 2)[camera].T
-    scale = np.minimum(1, -np.log(_DARKEST_CORNER) / np.maximum((p + q) / 2, 1e-9))
-    return np.stack([scale * p / corner, scale * (q - p) / 2 / corner**2], axis=1)
+    scale = np.minimum(1, -np.log(DARKEST_CORNER) / np.maximum((p + q) / 2, 1e-9))
+    return np.stack([scale * p / farthest, scale * (q - p) / 2 / farthest**2], axis=1)
 
 
 def _without_negatives(normal: sp.csc_array, right: np.ndarray, start: int) -> np.ndarray:

@@ -27,7 +27,7 @@ from ..base.errors import SurfaceError
 from ..base.files import atomic_write
 from ..base.language import Text
 from ..base.messages import Reporter
-from ..base.records import Component, View
+from ..base.records import Component
 from ..base.sampling import sample
 from ..surface.mesh import Mesh
 from ..surface.triangles import face_neighbours
@@ -36,8 +36,9 @@ from .blending import Shares
 from .candidates import Candidates, add_candidates
 from .charts import Layout, lay_out
 from .diffusion import diffuse
+from .falloff import off_axis, write_cameras
 from .labelling import choose_photos
-from .levelling import Levelling, find_levelling, off_axis
+from .levelling import Levelling, find_levelling
 from .photo_sources import Source, find_sources
 from .visibility import in_camera, project, smooth_normals
 
@@ -77,7 +78,8 @@ class _Labelling:
 def texture_mesh(
     mesh: Mesh, component: Component, workspace: Path, options: TextureOptions, folder: Path, reporter: Reporter
 ) -> Mesh:
-    """Write texture_0.png (or .jpg), texture_1... into `folder` and return the mesh with UVs, pages and new colours.
+    """Write texture_0.png (or .jpg), texture_1... and falloff.json into `folder` and return the mesh with UVs, pages and
+    new colours.
 
     Photos come from their original files, undistorted at full size through the component's sparse model; where that
     is gone, from the workspace's undistorted picture, with a warning. A face that no photo shows whole is coloured
@@ -93,6 +95,7 @@ def texture_mesh(
     plan = Bake(vertices=mesh.vertices, faces=mesh.faces, shares=labelling.shares,
                 layout=layout, levelling=labelling.levelling, colours=colours)
     names = _write(folder, _encoded_pages(plan, sources, options, reporter), options)
+    write_cameras(folder, [source.view for source in sources], labelling.levelling.lens)
     uv = layout.corners / layout.size
     uv[..., 1] = 1 - uv[..., 1]
     return replace(mesh, colours=colours, unseen=~labelling.shares.seen).with_texture(
@@ -113,17 +116,6 @@ def colour_vertices(mesh: Mesh, component: Component, workspace: Path, reporter:
     colours = _colours(mesh, sources, labelling, reporter)
     reporter.progress(100, 100)
     return replace(mesh, colours=colours, unseen=~labelling.shares.seen, uv=None, page=None, pages=())
-
-
-def level_photos(
-    mesh: Mesh, component: Component, workspace: Path, options: TextureOptions, reporter: Reporter
-) -> tuple[list[View], Levelling]:
-    """How texture_mesh levels photos, and which. Raises TextureError."""
-    _check(mesh, options)
-    sources = _sources(component, workspace, options, reporter)
-    views = [source.view for source in sources]
-    candidates = _candidates(mesh, sources, reporter)
-    return views, find_levelling(candidates, mesh.vertices[mesh.faces].mean(axis=1), views)
 
 
 def _check(mesh: Mesh, options: TextureOptions) -> None:
@@ -166,8 +158,10 @@ def _progress(reporter: Reporter, share: tuple[float, float], done: int, total: 
     reporter.progress(round(100 * (share[0] + share[1] * done / total) / _PASSES), 100)
 
 
-def _candidates(mesh: Mesh, sources: list[Source], reporter: Reporter) -> Candidates:
-    """Step 1. Raises TextureError when no photo shows a face."""
+def _label(
+    mesh: Mesh, sources: list[Source], neighbours: np.ndarray, options: TextureOptions, reporter: Reporter
+) -> _Labelling:
+    """Steps 1 and 2. Raises TextureError when no photo shows a face."""
     candidates = Candidates.empty(len(mesh.faces))
     normals = smooth_normals(mesh.vertices, mesh.faces)
     for number, source in enumerate(sources):
@@ -178,14 +172,6 @@ def _candidates(mesh: Mesh, sources: list[Source], reporter: Reporter) -> Candid
             "No photo shows any face of the mesh.",
             remedy="Make sure that the mesh belongs to this reconstruction, or build it again.",
         )
-    return candidates
-
-
-def _label(
-    mesh: Mesh, sources: list[Source], neighbours: np.ndarray, options: TextureOptions, reporter: Reporter
-) -> _Labelling:
-    """Steps 1 and 2. Raises TextureError when no photo shows a face."""
-    candidates = _candidates(mesh, sources, reporter)
     centroids, views = mesh.vertices[mesh.faces].mean(axis=1), [source.view for source in sources]
     levelling = find_levelling(candidates, centroids, views)
     levelling.apply(candidates, centroids, views)
