@@ -78,8 +78,8 @@ class _Labelling:
 def texture_mesh(
     mesh: Mesh, component: Component, workspace: Path, options: TextureOptions, folder: Path, reporter: Reporter
 ) -> Mesh:
-    """Write texture_0.png (or .jpg), texture_1... and falloff.json into `folder` and return the mesh with UVs, pages and
-    new colours.
+    """Write texture_0.png (or .jpg), texture_1... and falloff.json into `folder` and return the mesh with UVs, pages
+    and new colours.
 
     Photos come from their original files, undistorted at full size through the component's sparse model; where that
     is gone, from the workspace's undistorted picture, with a warning. A face that no photo shows whole is coloured
