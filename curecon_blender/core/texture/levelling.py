@@ -25,7 +25,7 @@ _DARK, _BRIGHT = 8, 250  # of 255: colours beyond tell nothing
 _GAIN_PRIOR = 1e-3
 _PAIRS = 300_000  # a sample of colours of one face in two photos is plenty to tell the falloff
 _FEW = 50  # faces: two photos that share fewer say little
-_FALLOFF_PRIOR, _EXPOSURE_PRIOR = 0.2, 0.5  # standard deviations of logarithms, at the corner and of a photo
+_FALLOFF_PRIOR, _EXPOSURE_PRIOR = 0.2, 0.5  # standard deviations of p and q, and of a photo's logarithm
 _ROUNDS = 10  # of least squares with new weights
 _BLOCK = 1 << 17
 
