@@ -23,7 +23,7 @@ from .continuation import unseen
 from .extent import ground_below, smoothness
 from .sight import FINE, Sight, looked_through
 
-_COLUMN = 4.0  # spacings: side of the columns
+_COLUMN = 3.0  # spacings: side of the columns
 _MOST_COLUMNS = 2000  # along each side of a site
 _RIM = 16  # columns about the site
 _TUFT = 5.0  # spacings: side of the cubes, 27 of which tell whether a place is smooth
@@ -112,7 +112,7 @@ def _find_roofs(cloud: Cloud, spacing: float) -> _Roofs:
     top = np.full(ground.shape, -np.inf)
     np.maximum.at(top, tuple(column[:, roof]), cloud.points[roof, 2])
     top[np.isinf(top)] = np.nan
-    covered = ndimage.binary_opening(ndimage.binary_closing(np.isfinite(top), iterations=2), iterations=2)
+    covered = ndimage.binary_opening(ndimage.binary_closing(np.isfinite(top)), iterations=2)
     part = ndimage.label(covered, np.ones((3, 3)))[0]
     large = np.bincount(part.ravel()) >= _LEAST
     large[0] = False
