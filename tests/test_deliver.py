@@ -245,8 +245,7 @@ def tellings(folder: Path, frame: Frame, photos: list[str]) -> list[str]:
     assert frame.origin is not None and frame.origin.altitude is not None
     latitude, longitude, altitude = frame.origin.latitude, frame.origin.longitude, frame.origin.altitude
     east, north = geodetic_to_utm(np.array([[latitude, longitude]]), 50, south=False)[0]
-    # The latitude to a metre, cut and not rounded: a place on the site, in tenths of a millimetre, may have the same four
-    # decimals.
+    # The latitude to a metre, cut and not rounded: a place on the site may have the same four decimals.
     texts = [f"{latitude:.6f}"[:-1], f"{longitude:.3f}", f"{altitude:.1f}", f"{east:.0f}", f"{north:.0f}",
              "UTM zone", "Transverse", "32650", *(Path(photo).stem for photo in photos)]
     found = []
