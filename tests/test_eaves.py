@@ -15,8 +15,9 @@ LONG, WIDE, EAVE, JUT = 3.0, 2.0, 2.6, 0.5  # half the sides of a house's walls,
 NONE = np.zeros(0, np.int64)
 
 
-def house(*, front: bool = False, walls: bool = True) -> Cloud:
-    """A house with a flat roof on level ground; photos saw three of its walls, and that at the front if asked."""
+def house(*, front: float | None = None, walls: bool = True) -> Cloud:
+    """A house with a flat roof on level ground; photos saw three of its walls, and one at the front that stands so far
+    behind where the others would meet it."""
     x, y = LONG + JUT, WIDE + JUT
     parts = [plane((-x, -y, EAVE), (2 * x, 0, 0), (0, 2 * y, 0)),
              plane((-8, -8, 0), (16, 0, 0), (0, 8 - y, 0)), plane((-8, y, 0), (16, 0, 0), (0, 8 - y, 0)),
@@ -25,8 +26,8 @@ def house(*, front: bool = False, walls: bool = True) -> Cloud:
         parts += [plane((LONG, -WIDE, 0), (0, 2 * WIDE, 0), (0, 0, EAVE)),
                   plane((-LONG, WIDE, 0), (0, -2 * WIDE, 0), (0, 0, EAVE)),
                   plane((LONG, WIDE, 0), (-2 * LONG, 0, 0), (0, 0, EAVE))]
-    if front:
-        parts.append(plane((-LONG, -WIDE, 0), (2 * LONG, 0, 0), (0, 0, EAVE)))
+    if front is not None:
+        parts.append(plane((-LONG, front - WIDE, 0), (2 * LONG, 0, 0), (0, 0, EAVE)))
     return joined(*parts)
 
 
@@ -46,8 +47,8 @@ def test_a_wall_that_nobody_saw_stands_as_far_under_its_eave_as_the_others_do() 
 
 
 @pytest.mark.parametrize(("site", "looks"), [
-    (house(front=True), None), (house(walls=False), None), (house(), Looks(30.0)),
-], ids=["all were seen", "on posts", "a photo looks through"])
+    (house(front=0.0), None), (house(front=0.8), None), (house(walls=False), None), (house(), Looks(30.0)),
+], ids=["all were seen", "one stands farther in", "on posts", "a photo looks through"])
 def test_no_wall_stands_where_one_was_seen_or_none_is_known_or_a_photo_looks_through(
     site: Cloud, looks: Looks | None
 ) -> None:

@@ -83,6 +83,13 @@ def test_a_wall_goes_on_plumb_though_what_was_seen_of_it_leans_where_z_is_up(z_u
     assert (np.median(top[:, 1]) < lean * low + 0.05) == z_up
 
 
+def test_z_is_up_in_a_region_that_is_turned_about_it_and_not_in_one_that_is_tilted(tmp_path: Path) -> None:
+    component = Component(index=0, sparse="", cloud="", frame=Frame(scale="metres", up="gps", north=True), views=())
+    turned = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    assert Sight(component, tmp_path, Reporter(), turned).z_up
+    assert not Sight(component, tmp_path, Reporter(), turned[:, [0, 2, 1]] * [1, 1, -1]).z_up
+
+
 def test_a_gap_that_a_sure_photo_looks_through_stays_open() -> None:
     made = continued(house(), SPACING, Looks(30.0))
     assert not ((np.abs(made.normals[:, 1]) > 0.9) & (made.points[:, 2] > TOP + 0.1)

@@ -20,13 +20,12 @@ from scipy.spatial import cKDTree
 
 from ..cloud.ply import Cloud
 from .continuation import unseen
-from .extent import ground_below, smoothness
+from .extent import TUFT, ground_below, smoothness
 from .sight import FINE, Sight, looked_through
 
 _COLUMN = 3.0  # spacings: side of the columns
 _MOST_COLUMNS = 2000  # along each side of a site
 _RIM = 16  # columns about the site
-_TUFT = 5.0  # spacings: side of the cubes, 27 of which tell whether a place is smooth
 _SMOOTH = 0.75  # length of the mean normal about a point of a roof: below, it is a tree
 _TALL = 0.15  # of the height of what stands on the site: what is lower is no roof
 _UP, _STEEP = 0.4, 0.5  # of a normal's z: of a roof at least, of a wall at most
@@ -105,7 +104,7 @@ def _find_roofs(cloud: Cloud, spacing: float) -> _Roofs:
     column = np.floor((cloud.points[:, :2] - low) / side).astype(np.int64).T
     ground = np.pad(ground_below(cloud.points[:, 2], column, side), (0, _RIM), mode="edge")
     height = cloud.points[:, 2] - ground[*column]
-    smooth = smoothness(cloud, _TUFT * spacing) > _SMOOTH
+    smooth = smoothness(cloud, TUFT * spacing) > _SMOOTH
     standing = height[smooth & (height > 2 * side)]
     tall = _TALL * float(np.quantile(standing, 0.95)) if len(standing) else np.inf
     roof = smooth & (cloud.normals[:, 2] > _UP) & (height > tall)

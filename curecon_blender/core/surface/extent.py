@@ -29,7 +29,7 @@ _COLUMN = 8.0  # spacings: side of the columns that tell what stands on the grou
 _FEWEST = 4  # points in a column's lowest cube: fewer are noise below the ground
 _RAMP = 0.3  # height over length: steeper ground stands, for all we know
 _TALL = 0.25  # of the building's height: a column of it reaches that high
-_TUFT = 5.0  # spacings: side of the cubes, 27 of which tell whether a place is smooth
+TUFT = 5.0  # spacings: side of the cubes, 27 of which tell whether a place is smooth
 _SMOOTH = 0.85  # length of the mean normal over a part that stands: below, it is a tree
 _LEAFY = 0.7  # the same about one point: below, it is a leaf, a wire or a shred
 _SHARE = 0.1  # of the largest part's area: what stands beside it and is smaller is no part of the subject
@@ -86,7 +86,7 @@ def find_building(cloud: Cloud, views: Sequence[View], spacing: float) -> tuple[
     column = _columns(cloud.points, low, side)
     ground = ground_below(cloud.points[:, 2], column, side)
     height = cloud.points[:, 2] - ground[*column]
-    smooth = smoothness(cloud, _TUFT * spacing)
+    smooth = smoothness(cloud, TUFT * spacing)
     walls = (height > side) & (smooth > _SMOOTH)
     tall = float(np.quantile(height[walls], 0.95)) if walls.any() else 0.0
     stands = np.zeros(ground.shape, bool)

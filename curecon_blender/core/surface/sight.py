@@ -31,6 +31,7 @@ from ..views.masks import left_out
 from .cells import STEPS, cell_numbers
 
 SURE = 0.5  # confidence from which on a photo says what is empty
+_LEVEL = np.cos(np.radians(1.0))  # where a turn tilts Z by more than a degree, it is up no longer
 _ALONE = 0.7  # confidence from which on one photo alone says what is there
 FINE = 0.006  # of the depth: by how much farther a photo must see to look through a gap
 _THROUGH = 0.02  # of the depth: a sure photo that sees that much farther looks through a place
@@ -54,7 +55,7 @@ class Glance:
 
 class Sight:
     """The depth maps of a component's photos, read one after another, and `views`, all of its cameras. `turn` (3,3)
-    takes the site's axes to those of the places asked about. `z_up`: whether the site's Z is known to be up. `each` is
+    takes the site's axes to those of the places asked about. `z_up`: whether Z of those is known to be up. `each` is
     called for every depth map that is read."""
 
     def __init__(
@@ -63,7 +64,8 @@ class Sight:
         self.views = [_turned(view, turn) for view in component.views]
         self._told = [view for view in component.views if depth_path(workspace, view.name).exists()]
         self._workspace, self._reporter, self._turn = workspace, reporter, turn
-        self.z_up = component.frame.up != "given"
+        self._site_z_up = component.frame.up != "given"
+        self.z_up = self._site_z_up and (turn is None or bool(turn[2, 2] > _LEVEL))
         self._skies: dict[str, np.ndarray] = {}
         self.each: Callable[[], None] = lambda: None
 
@@ -84,7 +86,7 @@ class Sight:
             depth = np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
             confidence = np.nan_to_num(confidence.astype(np.float32))
             sure = (confidence >= SURE) & (depth > 0)
-            if self.z_up:
+            if self._site_z_up:
                 sky = self._sky(view, picture, confidence)
                 depth[sky] = np.inf
                 sure[sky] = True
