@@ -62,5 +62,12 @@ def test_where_photos_saw_no_farther_a_roof_does_not_end() -> None:
     assert not (np.abs(seen.points[:, 0]) < LONG - JUT).any()
 
 
+def test_a_short_stretch_of_dark_ground_beside_a_roof_opens_no_wall() -> None:
+    site = house()
+    dark = (site.points[:, 2] < 0.5) & (site.points[:, 1] < -WIDE - JUT) & (np.abs(site.points[:, 0]) < 0.8)
+    found = made(site.take(~dark))
+    assert len(found.take(np.abs(found.points[:, 0]) < 0.6)) > 0.8 * (2 * 0.6 * EAVE) / SPACING**2
+
+
 def test_a_cloud_of_bare_ground_has_no_eaves() -> None:
     assert len(made(plane((-4, -4, 0), (8, 0, 0), (0, 8, 0)))) == 0

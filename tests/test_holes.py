@@ -96,9 +96,33 @@ def test_a_gap_that_a_sure_photo_looks_through_stays_open() -> None:
                 & (np.abs(made.points[:, 0]) < 1)).any()
 
 
+@pytest.mark.parametrize(("half", "closed"), [(0.2, True), (0.8, False)])
+def test_a_slit_between_two_closed_parts_of_a_wall_is_closed_and_a_wide_gap_is_not(half: float, closed: bool) -> None:
+    site = house()  # nobody saw the roof over a part of the wall
+    made = continued(site.take((site.points[:, 2] < TOP + 0.1) | (np.abs(site.points[:, 0]) > half)), SPACING,
+                     Looks(30.0, sure=False))
+    slit = (np.abs(made.normals[:, 1]) > 0.9) & (np.abs(made.points[:, 0]) < half / 2) & (
+        made.points[:, 2] > TOP + 0.1) & (made.points[:, 2] < ROOF - 0.15)
+    assert slit.any() == closed
+
+
 def test_a_wall_with_nothing_above_it_ends_where_it_was_measured() -> None:
     wall = plane((-2, 0, 0), (4, 0, 0), (0, 0, TOP))
     assert not len(continued(wall, SPACING, Looks(30.0, sure=False)))
+
+
+@pytest.mark.parametrize(("wall", "z_up"), [(True, True), (False, True), (True, False)])
+def test_level_ground_goes_on_to_a_wall_that_it_meets_and_no_farther(wall: bool, z_up: bool) -> None:
+    shade = 0.8  # metres before the wall that no photo saw
+    ground = plane((-2, -3, 0), (4, 0, 0), (0, 3 - shade, 0))
+    site = joined(ground, plane((-2, 0, 0), (4, 0, 0), (0, 0, TOP))) if wall else ground
+    made = continued(site, SPACING, Looks(30.0, sure=False, z_up=z_up))
+    in_shade = made.points[(made.points[:, 1] > -shade + SPACING) & (np.abs(made.points[:, 0]) < 1)]
+    if wall and z_up:
+        assert len(in_shade) > 0.8 * 2 * (shade - SPACING) / (1.25 * SPACING) ** 2  # as far apart as they are made
+        assert np.abs(in_shade[:, 2]).max() < SPACING and in_shade[:, 1].max() < 2 * SPACING
+    else:
+        assert not len(in_shade)
 
 
 def test_what_one_sure_photo_alone_tells_is_weak_and_new() -> None:
@@ -125,6 +149,15 @@ def test_the_closed_wall_is_marked_as_filled(tmp_path: Path) -> None:
     wall = band & (centres[:, 2] > 0.3) & (centres[:, 2] < TOP - 0.2)
     assert gap.any() and mesh.filled[gap].all() and not mesh.filled[wall].any()
     assert mesh.areas[gap].sum() > 0.7 * 3 * (ROOF - TOP - 0.4)
+
+
+def test_a_closed_wall_has_the_colour_of_the_wall_and_not_of_the_roof_that_it_meets(tmp_path: Path) -> None:
+    site = house()
+    site.colours[site.points[:, 2] > TOP + 0.3] = 220, 60, 40
+    mesh = build_mesh(site, MeshOptions(), tmp_path / "scratch", Reporter(), Looks(30.0, sure=False))
+    gap = (np.abs(mesh.vertices[:, 1]) < 2 * SPACING) & (np.abs(mesh.vertices[:, 0]) < 1.5) & (
+        mesh.vertices[:, 2] > TOP + 0.2) & (mesh.vertices[:, 2] < ROOF - 0.15)
+    assert gap.sum() > 50 and np.abs(mesh.colours[gap].astype(int) - 128).max() < 10
 
 
 @pytest.mark.parametrize("depth", [0.02, 1e-6])

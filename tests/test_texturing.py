@@ -20,6 +20,7 @@ from curecon_blender.core.base.records import Component
 from curecon_blender.core.base.sampling import sample
 from curecon_blender.core.surface.mesh import Mesh, read_mesh, write_mesh
 from curecon_blender.core.surface.triangles import triangle_areas
+from curecon_blender.core.texture.diffusion import diffuse
 from curecon_blender.core.texture.rendering import render
 from curecon_blender.core.texture.texture import TextureError, TextureOptions, colour_vertices, texture_mesh
 from tests import box_scene
@@ -269,3 +270,19 @@ def test_a_thing_that_only_a_depth_map_knows_gives_no_texture(scene: tuple[Path,
         box_scene.write_depth(workspace, component.views[index], depth, np.full(depth.shape, 0.9, np.float32))
     mesh, pages = textured(scene)
     assert (np.abs(errors(mesh, pages, 1)).max(axis=1) > 90).mean() < 0.005
+
+
+def test_an_unseen_wall_hardly_takes_the_colour_of_the_roof_that_it_is_joined_to() -> None:
+    roof, roof_faces = quad((0, 0, 2), (2, 0, 0), (0, 2, 0), 20)
+    wall, wall_faces = quad((0, 0, 2), (0, 0, -2), (2, 0, 0), 20)
+    joint = np.flatnonzero(np.isclose(wall[:, 2], 2))
+    number = np.arange(len(wall)) + len(roof)
+    number[joint] = np.linalg.norm(roof[:, None] - wall[joint], axis=2).argmin(axis=0)
+    vertices, faces = np.concatenate([roof, wall]), np.concatenate([roof_faces, number[wall_faces]])
+    known = np.arange(len(vertices)) < len(roof)
+    guess = np.full((len(vertices), 3), 40.0)
+    found = diffuse(vertices, faces, np.full_like(guess, 200.0), known, guess)
+    assert (found[known] == 200).all()
+    below = np.unique(number[wall_faces])
+    below = below[vertices[below, 2] < 1.7]
+    assert found[below].max() < 70

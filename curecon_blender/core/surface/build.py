@@ -103,11 +103,12 @@ def build_mesh(
     if options.fill_holes and sight:
         subject = cloud.take(within(cloud.points, sight.views, spacing, NEAR))
         gaps = continued(subject, spacing, sight)
-        reporter.log(f"{len(gaps)} points continue walls, roofs and ground over gaps.")
         if sight.z_up:
             walls = under_eaves(subject, gaps, spacing, sight)
             reporter.log(f"{len(walls)} points stand for walls under eaves that no photo saw.")
-            gaps = joined(gaps, walls)
+            if len(walls):  # the ground goes on to them, and they to the roof
+                gaps = joined(continued(joined(subject, walls), spacing, sight), walls)
+        reporter.log(f"{len(gaps)} points continue walls, roofs and ground over gaps.")
     if options.extent == "building":
         building, standing = find_building(cloud, sight.views if sight else (), spacing)
         cloud, local_spacing = cloud.take(standing), local_spacing[standing]

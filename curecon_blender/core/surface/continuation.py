@@ -6,9 +6,10 @@ Photos from the air leave out the top of a wall under its eave, its shaded foot,
 What was measured about such a place is mostly smooth and bent in one direction: plane, cylinder or cone. So about every
 square metre or so a sheet is fitted to the measured points, flat along the slope and curved across it. A gap in it is
 closed along lines that begin and end on what was measured: on the sheet itself, or, up and down a wall, on the roof or
-the ground that it meets. Where a recess lies behind the gap or a photo looks through it, it is none. Trees and rubble
-fit no sheet and are left alone. On a sixth of the sample site, the gate's, 87 % of what closes walls and 93 % of what
-closes roofs and ground lies within 20 cm of the truth; where gaps need not end on something, 20 and 45 %.
+the ground that it meets, or, on level ground, on the wall that it meets. Where a recess lies behind the gap or a photo
+looks through it, it is none. Trees and rubble fit no sheet and are left alone. On a sixth of the sample site, the
+gate's, 87 % of what closes walls and 93 % of what closes roofs and ground lies within 20 cm of the truth; where gaps
+need not end on something, 20 and 45 %.
 """
 
 from __future__ import annotations
@@ -36,9 +37,11 @@ _LEAST = 160  # cells of points that carry a sheet
 _GOOD = 0.7  # of the points about it that must lie on a sheet
 _FULL = 0.97  # of the sheet's nodes: it has no gap
 _STEEP = 0.5  # of a normal's z: what is steeper is a wall and goes on until something stops it
+_LEVEL = 0.95  # of a normal's z: ground and floors, which go on until they meet a wall
 # How firmly a wall is held plumb: as by the points of a strip some ten cells high. Where a wall is seen at a slant,
 # or by few photos, what was measured of it leans; on its way up to the eave that would add up.
 _PLUMB = 5e3
+_SLIT = 5  # nodes between two closed parts of a wall that are closed with them
 _RECESS = 4  # cells behind a gap: a surface measured there says that it is none
 _MOST_NEAR = 200_000  # points that a sheet is fitted to
 _BATCH = 4096  # sheets that are fitted at a time
@@ -66,10 +69,11 @@ def continued(cloud: Cloud, spacing: float, sight: Sight) -> Cloud:
     side = CELL * spacing
     grid = _gather(cloud.points, cloud.normals, side)
     sheets, state = _sheets(grid, _PLUMB if sight.z_up else 0.0)
-    gaps = np.flatnonzero(_bridged(state, sheets.steep))
+    level = (sheets.axes[:, 2, 2] > _LEVEL) & sight.z_up
+    gaps = np.flatnonzero(_closed(state, sheets.steep, level))
     places, directions = sheets.nodes(gaps, grid)
     state[gaps[looked_through(places, sight, FINE) > 0]] = _EMPTY
-    length = _bridged(state, sheets.steep)[gaps]
+    length = _closed(state, sheets.steep, level)[gaps]
     found = np.flatnonzero(length > 0)
     kept = found[_shortest_first(places[found], length[found], side)]
     points, normals = _spread(places[kept], directions[kept], side)
@@ -355,12 +359,20 @@ def _fit(seeds, points, normals, buckets, starts, cells, side, stiff, near, bend
     return found
 
 
+def _closed(state: np.ndarray, steep: np.ndarray, level: np.ndarray) -> np.ndarray:
+    """As _bridged, with the slits in walls."""
+    length: np.ndarray = _bridged(state, steep, level)
+    _close_slits(length, state, steep)
+    return length
+
+
 # Long: the two directions of a line share all of it.
 @_compiled
-def _bridged(state, steep):  # type: ignore[no-untyped-def]
+def _bridged(state, steep, level):  # type: ignore[no-untyped-def]
     """How long the gap is that each node (n,) lies in, (n,) int16, in nodes along a line of its sheet that begins and
-    ends on what was measured; 0 where there is none. On a wall a line up the slope may end on another surface, and one
-    line is enough; elsewhere both its lines must end on the sheet itself: where only one does, it is below 0."""
+    ends on what was measured; 0 where there is none. Up a wall a line may end on another surface, and on level ground
+    any line may; there, and on walls, one line is enough. Elsewhere both its lines must end on the sheet itself: where
+    only one does, it is below 0."""
     size = _WIDTH * _HEIGHT
     length = np.zeros(len(state), np.int16)
     for sheet in range(len(steep)):
@@ -377,16 +389,37 @@ def _bridged(state, steep):  # type: ignore[no-untyped-def]
                     if begin >= 0 and k - begin > 1:
                         first = state[low + start + begin * step]
                         both = first == _OWN and here == _OWN
-                        if both or (up and steep[sheet] and ((first == _OWN and here == _BLOCKED)
-                                                             or (first == _BLOCKED and here == _OWN))):
+                        meets = (first == _OWN and here == _BLOCKED) or (first == _BLOCKED and here == _OWN)
+                        if both or (meets and (level[sheet] or (up and steep[sheet]))):
+                            run = k - begin - 1
                             for m in range(begin + 1, k):
                                 at = low + start + m * step
-                                run = k - begin - 1
-                                if not up:
-                                    length[at] = run if steep[sheet] else -run
-                                elif steep[sheet]:
-                                    length[at] = run if length[at] == 0 else min(run, length[at])
+                                before = length[at]
+                                if steep[sheet] or meets:
+                                    length[at] = min(run, before) if before > 0 else run
                                 else:
-                                    length[at] = min(run, -length[at]) if length[at] < 0 else -run
+                                    length[at] = min(run, abs(before)) if before else -run
                     begin = k
     return length
+
+
+@_compiled
+def _close_slits(length, state, steep):  # type: ignore[no-untyped-def]
+    """Close what is left open between two closed parts of a wall, a few nodes apart: changes `length`, as of _bridged,
+    of nodes (n,)."""
+    size = _WIDTH * _HEIGHT
+    for sheet in range(len(steep)):
+        if not steep[sheet]:
+            continue
+        for line in range(_HEIGHT):
+            begin = -1  # the last node that is closed
+            for k in range(_WIDTH):
+                at = sheet * size + line + k * _HEIGHT
+                if length[at] > 0:
+                    if begin >= 0 and 1 < k - begin <= _SLIT + 1:
+                        wider = max(length[at], length[at - (k - begin) * _HEIGHT])
+                        for m in range(at - (k - begin - 1) * _HEIGHT, at, _HEIGHT):
+                            length[m] = wider
+                    begin = k
+                elif state[at] != _GAP:
+                    begin = -1

@@ -35,7 +35,7 @@ _JUTTING = 0.6  # of an eave's height: so far in a wall is looked for
 _BETWEEN = 0.1, 0.8  # of the same: what is measured lower or higher is the ground or the edge of the roof
 _ABOUT = 5.0  # columns along an edge that decide together
 _WALLED, _BARE = 0.3, 0.15  # of an eave's height: walls measured under it that stand, that are none
-_BESIDE = 0.5  # of the edge columns about one, that something was measured beside and far below
+_BESIDE = 0.5  # of the edge columns within an eave's height, that something was measured beside and far below
 _FEWEST = 20  # edge columns with a wall under them that tell how far a roof juts out
 _ALIKE = 0.5  # of that length: how much half of them differ at most
 _OPEN = 0.2  # of a wall that photos look through: it is none
@@ -68,9 +68,9 @@ class _Roofs:
         number = np.floor((points[:, :2] - self.low) / self.side).astype(np.int64)
         return np.clip(number, 0, np.array(self.top.shape) - 1).T
 
-    def along_edges(self, values: np.ndarray) -> np.ndarray:
-        """Values (e,) of edge columns, each the mean of those about it."""
-        about = cKDTree(self.places).query_ball_point(self.places, _ABOUT * self.side)
+    def along_edges(self, values: np.ndarray, reach: np.ndarray | float = 0.0) -> np.ndarray:
+        """Values (e,) of edge columns, each the mean of those within `reach` (e,) of it, and of a few at least."""
+        about = cKDTree(self.places).query_ball_point(self.places, np.maximum(reach, _ABOUT * self.side))
         return np.array([values[which].mean() for which in about])
 
 
@@ -133,13 +133,13 @@ def _find_roofs(cloud: Cloud, spacing: float) -> _Roofs:
 
 
 def _ends(roofs: _Roofs, points: np.ndarray) -> np.ndarray:
-    """Whether a roof truly ends at each edge column, (e,) bool: some of `points` (n,3) lie far below, just outside.
-    Else that may be as far as photos saw it, such as a ridge from the ground."""
+    """Whether a roof truly ends at each edge column, (e,) bool: some of `points` (n,3) lie far below, just outside,
+    along most of the edge about it. Else that may be as far as photos saw it, such as a ridge from the ground."""
     column = roofs.columns(points)
     edge, depth = roofs.edge_of[*column], roofs.depth[*column]
     height = roofs.height[edge]
     below = (depth < 0) & (depth > -_JUTTING * height) & (points[:, 2] < roofs.ground[edge] + 0.5 * height)
-    return roofs.along_edges(np.bincount(edge[below], minlength=len(roofs.places)) > 0) > _BESIDE
+    return roofs.along_edges(np.bincount(edge[below], minlength=len(roofs.places)) > 0, roofs.height) > _BESIDE
 
 
 def _juts(roofs: _Roofs, walls: np.ndarray, facing: np.ndarray) -> np.ndarray:

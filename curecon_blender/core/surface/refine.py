@@ -13,7 +13,7 @@ import numpy as np
 
 from .borders import smoothed
 from .support import Support
-from .triangles import corner_sums, face_neighbours, face_normals, triangle_areas, unit
+from .triangles import corner_sums, face_neighbours, face_normals, triangle_areas, unit, vertex_normals
 
 _POINTS = 16  # measured points about a vertex that move it
 _MOVES = 2  # times that all vertices are moved onto the points
@@ -33,7 +33,7 @@ def refined(vertices: np.ndarray, faces: np.ndarray, support: Support) -> np.nda
     spacing = float(np.median(support.spacing))
     moved = vertices.astype(np.float64)
     for _ in range(_MOVES):
-        normals = _vertex_normals(moved, faces)
+        normals = vertex_normals(moved, faces)
         off = np.concatenate([_offsets(moved[at : at + _CHUNK], normals[at : at + _CHUNK], support)
                               for at in range(0, len(moved), _CHUNK)])
         off = smoothed(np.clip(off, -_FARTHEST * spacing, _FARTHEST * spacing), faces, 1)
@@ -101,9 +101,3 @@ def _sharpened(vertices: np.ndarray, faces: np.ndarray, farthest: float) -> np.n
         length = np.linalg.norm(off, axis=1, keepdims=True)
         moved = vertices + off * np.minimum(1, farthest / np.maximum(length, 1e-12))
     return moved
-
-
-def _vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    normals = face_normals(vertices, faces)
-    return unit(np.stack([corner_sums(np.repeat(normals[:, axis : axis + 1], 3, axis=1), faces, len(vertices))
-                           for axis in range(3)], axis=1))

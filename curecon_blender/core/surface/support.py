@@ -15,8 +15,9 @@ from scipy.spatial import cKDTree
 from ..base.language import Text
 from ..base.messages import Reporter
 from ..cloud.ply import Cloud
+from .cells import cell_numbers
 from .mesh import Mesh, MeshError
-from .triangles import triangle_areas
+from .triangles import triangle_areas, unit, vertex_normals
 
 LEAST_POINTS = 1000
 _CELL = 4.0  # median spacings: side of the cells, 3x3x3 of which are a point's block; no local spacing is larger
@@ -25,6 +26,9 @@ _DENSE = 20  # trusted points in a block from which on a point need not be surer
 _REACH = 2.5  # local spacings from a measured point to what it supports
 _REACH_THIN = 1.25  # sides of the cubes that a cloud was thinned by: no radius is smaller
 _NEIGHBOURS = 4  # measured points that a vertex takes its colour and views from
+_PATCH = 6.0  # spacings: side of the cells of measured points that unmeasured vertices may be like
+_LIKE = 200.0  # spacings that such a cell may lie farther off for each unit that its normal is more alike
+_ALIKE = 4  # cells that give an unmeasured vertex its colour
 
 
 def usable_points(cloud: Cloud, reporter: Reporter) -> Cloud:
@@ -163,13 +167,35 @@ class Support:
         weight = 1 / (distance + 1e-3 * self.radius[index[:, :1]])
         weight *= distance <= 2 * np.maximum(distance[:, :1], self.spacing[index[:, :1]])
         colours = np.einsum("nk,nkc->nc", weight, self.cloud.colours[index]) / weight.sum(axis=1)[:, None]
+        beyond = distance[:, 0] > self.radius[index[:, 0]]
+        if beyond.any():
+            colours[beyond] = self._likely_colours(vertices[beyond], vertex_normals(vertices, faces)[beyond])
         views = np.round(np.median(self.cloud.views[index], axis=1))
-        views[distance[:, 0] > self.radius[index[:, 0]]] = 0
+        views[beyond] = 0
         return Mesh(
             vertices=vertices, faces=faces, colours=np.rint(colours).astype(np.uint8),
             distance=distance[:, 0].astype(np.float32), views=views.astype(np.uint8),
             filled=filled, weak=weak & ~filled,
         )
+
+    def _likely_colours(self, places: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        """Colours (m,3) for unmeasured places (m,3) with unit normals (m,3): those of measured surface that is near and
+        looks the same way, so that a wall does not take the colour of its roof."""
+        spacing = float(np.median(self.spacing))
+        points, looks, colours = self._patches(_PATCH * spacing)
+        tree = cKDTree(np.hstack([points / (_LIKE * spacing), looks]))
+        index = tree.query(np.hstack([places / (_LIKE * spacing), normals]), k=min(_ALIKE, len(points)), workers=-1)[1]
+        mean: np.ndarray = colours[index.reshape(len(places), -1)].mean(axis=1)
+        return mean
+
+    def _patches(self, side: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The measured points in cells of this side: mean points, unit normals and colours (c,3)."""
+        cell = cell_numbers(self.cloud.points, self.cloud.points.min(axis=0), side)
+        part, count = np.unique(cell, return_inverse=True, return_counts=True)[1:]
+        points, normals, colours = (
+            np.stack([np.bincount(part, values[:, axis]) for axis in range(3)], axis=1) / count[:, None]
+            for values in (self.cloud.points, self.normals, self.cloud.colours))
+        return points, unit(normals), colours
 
     def judged(self, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Faces (m,) bool of which no photo measured the larger part, and those of which one photo alone measured most

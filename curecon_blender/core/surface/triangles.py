@@ -36,6 +36,13 @@ def corner_sums(values: np.ndarray, faces: np.ndarray, count: int) -> np.ndarray
     return np.bincount(faces.ravel(), values.ravel(), count)
 
 
+def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Unit normals (N,3) at the vertices, the means of their faces' by area."""
+    normals = face_normals(vertices, faces)
+    return unit(np.stack([corner_sums(np.repeat(normals[:, axis : axis + 1], 3, axis=1), faces, len(vertices))
+                           for axis in range(3)], axis=1))
+
+
 def mesh_edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The unique edges (E,2) int32, lower vertex first and sorted, and the number (M,3) int32 of each face's three."""
     following = np.roll(faces, -1, axis=1)

@@ -216,7 +216,8 @@ def _colours(mesh: Mesh, sources: list[Source], labelling: _Labelling, reporter:
     seen[mesh.faces[labelling.shares.seen]] = True
     seen &= total[:, 3] > 0
     mean = total[:, :3] / np.maximum(total[:, 3:], np.finfo(np.float32).tiny)
-    return np.clip(np.rint(diffuse(mesh.faces, mean, seen, mesh.colours)), 0, 255).astype(np.uint8)
+    colours = diffuse(mesh.vertices, mesh.faces, mean, seen, mesh.colours)
+    return np.clip(np.rint(colours), 0, 255).astype(np.uint8)
 
 
 def _encoded_pages(plan: Bake, sources: list[Source], options: TextureOptions, reporter: Reporter) -> list[np.ndarray]:
