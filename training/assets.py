@@ -35,6 +35,7 @@ class Material:
     ao: str | None = None
     alpha_cut: bool = False
     mirror: Literal["", "water", "glass"] = ""  # what it shows beside its colour: the world upside down, or the sky
+    sheltered: float = 1.0  # share of the sky's light that reaches it, as deep in a gallery
 
 
 @dataclass(frozen=True)

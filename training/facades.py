@@ -2,11 +2,22 @@
 """Facades that one sees through: walls with openings, and arcades before them.  Z up, metres."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from training.assets import Material, Mesh
-from training.procedural import Noise, Placement, Recess, around, panel, straight, wall_recesses
+from training.procedural import (
+    Noise,
+    Placement,
+    Recess,
+    around,
+    gallery_levels,
+    gallery_openings,
+    panel,
+    straight,
+    wall_recesses,
+)
 
 
 def facade(
@@ -48,6 +59,23 @@ def facade(
     if rng.random() < 0.7:
         meshes += _arcade(rng, width, min(height, rng.uniform(3, 6)), stone, rough)
     return meshes, width / 2, height, holes
+
+
+def galleries(rng: np.random.Generator, half: float, height: float, wood: Material) -> list[Mesh]:
+    """Galleries of wood before a facade, from `half` its width: a front that one looks through, and dark floors."""
+    deep, levels = rng.uniform(0.9, 2.6), gallery_levels(rng, height)
+    dark = replace(wood, sheltered=float(rng.uniform(0.08, 0.5)))
+    x, y, up = np.eye(3)
+
+    def sheet(z: float, across: np.ndarray, facing: np.ndarray, size: float, cut: list[Recess], of: Material) -> Mesh:
+        place = straight(np.array([-half, -deep, z]), x, across, facing)
+        return panel(2 * half, size, place, cut, lambda points: np.zeros(len(points)), 0.6, of)
+
+    meshes = [sheet(0.0, up, -y, height, gallery_openings(rng, 2 * half, levels, height), wood),
+              sheet(height, y, up, deep, [], wood), sheet(height - 0.1, y, -up, deep, [], dark)]
+    for level in levels[1:]:
+        meshes += [sheet(level, y, up, deep, [], dark), sheet(level - 0.12, y, -up, deep, [], dark)]
+    return meshes
 
 
 def panes(rng: np.random.Generator, half: float, holes: list[Recess], glass: Material) -> list[Mesh]:

@@ -2,7 +2,7 @@
 """Procedural geometry: noise, heightfield ground, walls with relief, houses and Tulou rings.  Z up, metres."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -135,6 +135,31 @@ def around(radius: Callable[[np.ndarray], np.ndarray], perimeter: float, power: 
     return place
 
 
+def gallery_openings(rng: np.random.Generator, width: float, levels: np.ndarray, height: float) -> list[Recess]:
+    """What one looks through in the front of galleries this wide and high, whose floors are at `levels`: between posts,
+    above a parapet or a railing, and between its bars."""
+    bays = max(3, int(width / rng.uniform(1.8, 4.0)))
+    bay, post, beam = width / bays, rng.uniform(0.1, 0.3), rng.uniform(0.15, 0.4)
+    rail, bar, gap = rng.uniform(0.8, 1.1), rng.uniform(0.03, 0.08), rng.uniform(0.08, 0.3)
+    barred = rng.random() < 0.7
+    found = []
+    for level, top in zip(levels, [*levels[1:], height], strict=True):
+        sill = level + (rail if level > 0 else 0.0)
+        for left in np.arange(bays) * bay + post / 2:
+            found.append(Recess(left, left + bay - post, sill, top - beam, -post, open=True))
+            if barred and level > 0:
+                bars = max(1, int((bay - post) / (bar + gap)))
+                step = (bay - post) / bars
+                found += [Recess(at + bar / 2, at + step - bar / 2, level + 0.1, sill - 0.06, -bar, open=True)
+                          for at in left + step * np.arange(bars)]
+    return found
+
+
+def gallery_levels(rng: np.random.Generator, height: float) -> np.ndarray:
+    """The floors of galleries this high, the ground first."""
+    return np.arange(0, max(height - 1.8, 0.1), rng.uniform(2.3, 3.2))
+
+
 def wall_recesses(rng: np.random.Generator, width: float, height: float) -> list[Recess]:
     """Cornices, pilasters, windows and a door of one facade."""
     found: list[Recess] = []
@@ -235,18 +260,20 @@ def _pitched_roof(
 
 
 def tulou(
-    rng: np.random.Generator, earth: Material, roof: Material, wood: Material, noise: Noise
+    rng: np.random.Generator, earth: Material, roof: Material, wood: Material, noise: Noise,
+    carpenter: np.random.Generator | None,
 ) -> tuple[list[Mesh], float, float]:
-    """A Tulou centred on the origin, its outer radius and its height: earth wall, galleries, ring roof, inner rings."""
+    """A Tulou centred on the origin, its outer radius and its height: earth wall, galleries, ring roof, inner rings.
+    With a `carpenter` most have galleries that one looks into."""
     radius = rng.uniform(11, 30)
     height = rng.uniform(7, 14)
     power = rng.choice([2.0, 2.0, 2.0, 7.0])
     depth = rng.uniform(3.5, 6.5)
-    meshes = _ring(rng, radius, height, depth, power, earth, roof, wood, noise)
+    meshes = _ring(rng, radius, height, depth, power, earth, roof, wood, noise, carpenter)
     inner = radius - depth - rng.uniform(2.5, 5)
     while inner > 5 and rng.random() < 0.6:
         inner_depth = min(rng.uniform(2.5, 4), inner * 0.5)
-        meshes += _ring(rng, inner, rng.uniform(3, 5), inner_depth, power, earth, roof, wood, noise)
+        meshes += _ring(rng, inner, rng.uniform(3, 5), inner_depth, power, earth, roof, wood, noise, carpenter)
         inner -= inner_depth + rng.uniform(2.5, 4)
     return meshes, radius * (1.0 if power == 2 else 1.3), height + 0.35 * depth
 
@@ -261,6 +288,7 @@ def _ring(
     roof: Material,
     wood: Material,
     noise: Noise,
+    carpenter: np.random.Generator | None,
 ) -> list[Mesh]:
     """One annular building: outer wall with batter and small windows, gallery inside, two roof slopes."""
     perimeter = 2 * np.pi * radius
@@ -327,7 +355,33 @@ def _ring(
 
         place = around(outwards, round_, power, (height + rise - low) / slope)
         roofs.append(panel(round_, slope, _sunk(place, -low), [], rough, 0.55, roof))
+    if carpenter is not None and carpenter.random() < 0.7:
+        return [outer, *_ring_galleries(carpenter, inner_radius, height, depth, power, wood, rough), *roofs]
     return [outer, courtyard, *roofs]
+
+
+def _ring_galleries(
+    rng: np.random.Generator, radius: float, height: float, depth: float, power: float, wood: Material,
+    rough: Callable[[np.ndarray], np.ndarray],
+) -> list[Mesh]:
+    """Galleries about a court of this radius: a front that one looks through, floors, and a dark wall behind."""
+    deep, levels, below = min(rng.uniform(0.8, 2.6), 0.7 * depth), gallery_levels(rng, height), 1.0
+    inside, behind = 2 * np.pi * radius, 2 * np.pi * (radius + deep)
+    dark = replace(wood, sheltered=float(rng.uniform(0.08, 0.5)))
+
+    def upright(at: float, round_: float, cut: list[Recess], size: float, material: Material) -> Mesh:
+        turned = [replace(r, v0=r.v0 + below, v1=r.v1 + below, offset=-r.offset) for r in cut]
+        place = _sunk(around(lambda v: at + 0 * v, round_, power, 1.0), below)
+        return panel(round_, height + below, place, turned, rough, size, material)
+
+    rooms = [r for r in wall_recesses(rng, behind, height) if r.offset < 0]
+    meshes = [upright(radius, inside, gallery_openings(rng, inside, levels, height), 0.6, wood),
+              upright(radius + deep, behind, rooms, 0.6, dark)]
+    for level in levels[1:]:
+        for lift in (0.0, -0.12):
+            place = _sunk(around(lambda v: radius + v, inside, power, 0.0), -(level + lift))
+            meshes.append(panel(inside, deep, place, [], rough, 0.6, dark))
+    return meshes
 
 
 def _sunk(place: Placement, below: float) -> Placement:

@@ -307,7 +307,7 @@ class Renderer:
                 self._texture(material.ao)[0].use(3)
             _set(program, u_model=draw.transform, u_normal=draw.normal_matrix)
             _set(program, u_tiles=material.tiles, u_tint=draw.tint, u_gloss=draw.gloss,
-                 u_contrast=draw.contrast)
+                 u_contrast=draw.contrast, u_sheltered=material.sheltered)
             draw.mesh.draw(program)
 
     def _draw_sky(self, view_projection: np.ndarray) -> None:

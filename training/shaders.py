@@ -29,7 +29,7 @@ vec2 sky_uv(vec3 d, float turn) {    // where a direction is on a panorama
 _COLOUR_FRAGMENT = _SKY_UV + """
 uniform sampler2D u_texture; uniform sampler2D u_texture1; uniform sampler2D u_texture2;
 uniform sampler2D u_ao; uniform sampler2D u_detail; uniform sampler2DShadow u_shadow_map;
-uniform vec3 u_tiles; uniform vec3 u_tint; uniform float u_gloss; uniform float u_contrast;
+uniform vec3 u_tiles; uniform vec3 u_tint; uniform float u_gloss; uniform float u_contrast; uniform float u_sheltered;
 uniform float u_detail_tile; uniform float u_detail_strength; uniform float u_detail_mean;
 uniform vec3 u_sun; uniform vec3 u_sun_colour; uniform vec3 u_ambient[9];
 uniform vec3 u_eye; uniform float u_haze; uniform float u_exposure; uniform vec3 u_haze_colour;
@@ -86,7 +86,7 @@ void main() {
     float lit = texture(u_shadow_map, v_shadow - vec3(0.0, 0.0, 0.0008));
     vec3 aside = abs(v_shadow - 0.5);
     if (max(aside.x, max(aside.y, aside.z)) > 0.5) lit = 1.0;   // the map covers the site only
-    vec3 light = ambient(normal);
+    vec3 light = u_sheltered * ambient(normal);
 #if AO
     light *= texture(u_ao, v_uv2).r;
 #endif
