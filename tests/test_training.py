@@ -30,6 +30,7 @@ from training import build_assets, generator
 from training.assets import Assets, Material, overcast_texture
 from training.cameras import draw_rig
 from training.dataset import Sample, training_sample
+from training.facades import galleries
 from training.generator import Scene
 from training.losses import refinement_loss
 from training.procedural import Recess, panel, straight
@@ -277,6 +278,39 @@ def test_one_sees_through_an_opening_and_not_through_the_wall() -> None:
         cv2.fillConvexPoly(drawn, np.round(corners * 100).astype(np.int32), 1)
     assert not drawn[110:290, 110:290].any()
     assert drawn[:, 310:].mean() > 0.99 and drawn[:90].mean() > 0.99
+
+
+def test_one_sees_into_a_gallery_above_its_railing_and_between_the_bars() -> None:
+    front = galleries(np.random.default_rng(2), 6.0, 7.0, Material("plaster:0"))[0]
+    drawn = np.zeros((700, 1200), np.uint8)
+    for corners in front.positions[front.faces][..., [0, 2]]:
+        cv2.fillConvexPoly(drawn, np.round(corners * 100 + [600, 0]).astype(np.int32), 1)
+    open_rows = 1 - drawn.mean(axis=1)
+    assert open_rows[100] > 0.7 and open_rows.min() == 0  # a ground floor between posts, and beams
+    bars = [row for row in drawn[250:450] if np.count_nonzero(np.diff(row)) > 60]
+    assert len(bars) > 40 and 0.2 < 1 - np.mean(bars) < 0.95
+
+
+def test_what_the_sky_does_not_reach_is_darker_and_keeps_its_shape() -> None:
+    from training.generator import Generator
+
+    made = Generator(ASSETS)
+    rng = np.random.default_rng(3)
+    world = compose(made.assets, rng, held_out=True)
+    rig = draw_rig(rng, "orbit", world, 1, (192, 144))
+    world = replace(world, light=replace(world.light, sun_colour=np.zeros(3), haze=0.0))
+    dark = replace(world, instances=tuple(
+        replace(i, meshes=tuple(replace(m, material=replace(m.material, sheltered=0.1)) for m in i.meshes), key=None,
+                override=None if i.override is None else replace(i.override, sheltered=0.1))
+        for i in world.instances))
+    pictures, depths = [], []
+    for each in (world, dark):
+        made.renderer.upload(each)
+        picture, depth = made.renderer.render(rig.K[0], rig.cam_from_world[0], (192, 144))
+        pictures.append(picture[depth > 0][:, :3].astype(float))
+        depths.append(depth)
+    np.testing.assert_array_equal(*depths)
+    assert pictures[1].mean() < 0.6 * pictures[0].mean()
 
 
 def test_a_guess_too_deep_costs_more_than_one_as_many_intervals_too_near() -> None:
