@@ -4,10 +4,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from curecon_blender.core.base.messages import Reporter
 from curecon_blender.core.cloud.ply import Cloud, joined
+from curecon_blender.core.surface.build import MeshOptions, build_mesh
 from curecon_blender.core.surface.eaves import under_eaves
 from tests.test_holes import SPACING, Looks, plane
 
@@ -67,6 +71,14 @@ def test_a_short_stretch_of_dark_ground_beside_a_roof_opens_no_wall() -> None:
     dark = (site.points[:, 2] < 0.5) & (site.points[:, 1] < -WIDE - JUT) & (np.abs(site.points[:, 0]) < 0.8)
     found = made(site.take(~dark))
     assert len(found.take(np.abs(found.points[:, 0]) < 0.6)) > 0.8 * (2 * 0.6 * EAVE) / SPACING**2
+
+
+def test_the_ground_goes_on_to_a_wall_that_stands_under_an_eave(tmp_path: Path) -> None:
+    mesh = build_mesh(house(), MeshOptions(), tmp_path / "scratch", Reporter(), Looks(30.0, sure=False))
+    centres = mesh.vertices[mesh.faces].mean(axis=1)
+    under = (np.abs(centres[:, 2]) < 0.1) & (np.abs(centres[:, 0]) < 2) & (centres[:, 1] > -WIDE - JUT + 0.1) & (
+        centres[:, 1] < -WIDE - 0.1)
+    assert mesh.areas[under].sum() > 0.8 * 4 * (JUT - 0.2) and mesh.filled[under].mean() > 0.9
 
 
 def test_a_cloud_of_bare_ground_has_no_eaves() -> None:

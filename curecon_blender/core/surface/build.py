@@ -54,7 +54,7 @@ _REGION_MARGIN = 10.0  # median spacings: what lies just outside the region stil
 
 
 SHARES = (25, 35, 15, 15, 10)  # per cent of the time that each step takes
-_PASSES = 4  # times that each depth map is read
+_PASSES = 5  # times that each depth map is read
 WAITS = 15.0, 10.0  # seconds in which a million points go half through Poisson, and a million faces to fewer
 
 
@@ -106,8 +106,9 @@ def build_mesh(
         if sight.z_up:
             walls = under_eaves(subject, gaps, spacing, sight)
             reporter.log(f"{len(walls)} points stand for walls under eaves that no photo saw.")
-            if len(walls):  # the ground goes on to them, and they to the roof
-                gaps = joined(continued(joined(subject, walls), spacing, sight), walls)
+            gaps = joined(gaps, walls)
+        # What was closed goes on as well, and the ground to walls under eaves.
+        gaps = joined(gaps, continued(joined(subject, gaps), spacing, sight))
         reporter.log(f"{len(gaps)} points continue walls, roofs and ground over gaps.")
     if options.extent == "building":
         building, standing = find_building(cloud, sight.views if sight else (), spacing)
