@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Facades that one sees through: walls with openings, and arcades before them.  Z up, metres."""
+"""Facades that one sees through: walls with openings, and arcades and galleries before them.  Z up, metres."""
 
 from collections.abc import Callable
 from dataclasses import replace

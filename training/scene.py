@@ -10,7 +10,8 @@ import numpy as np
 from training.assets import Assets, Material, Mesh, subdivide, vertex_normals
 from training.facades import facade as open_facade
 from training.facades import galleries, panes
-from training.procedural import Noise, Terrain, house, tulou
+from training.procedural import Noise, Terrain, house
+from training.tulou import tulou
 
 FLOATING_ABOVE = 1.5  # a model whose lowest point is higher than this (metres) is a part without its base
 GROUND_TILE = (3.0, 9.0)  # metres covered by one repeat of a photo texture on the ground
