@@ -272,6 +272,23 @@ def test_a_thing_that_only_a_depth_map_knows_gives_no_texture(scene: tuple[Path,
     assert (np.abs(errors(mesh, pages, 1)).max(axis=1) > 90).mean() < 0.005
 
 
+def test_filled_ground_takes_no_colour_of_what_photos_show_before_it(scene: tuple[Path, Component]) -> None:
+    """Nobody measured the box: the mesh has the ground alone, which was closed where the box stands."""
+    workspace, component = scene
+    for view in component.views:
+        depth, _ = box_scene.cast(view)
+        box_scene.write_depth(workspace, view, depth, np.full(depth.shape, 0.9, np.float32))
+    vertices, faces = quad((-3, -3, 0), (6, 0, 0), (0, 6, 0), 40)
+    under = (np.abs(vertices[faces].mean(axis=1)[:, :2]) < 0.8).all(axis=1)
+    mesh, _ = textured(scene, replace(
+        box_mesh(), vertices=vertices.astype(np.float32), faces=faces.astype(np.int32), filled=under,
+        colours=box_scene.texture(vertices), distance=np.zeros(len(vertices), np.float32),
+        views=np.full(len(vertices), 3, np.uint8)))
+    centres = mesh.vertices[mesh.faces].mean(axis=1)
+    assert mesh.unseen[(np.abs(centres[:, :2]) < 0.7).all(axis=1)].all()
+    assert not mesh.unseen[(np.abs(centres[:, :2]) > 2).any(axis=1)].any()
+
+
 def test_an_unseen_wall_hardly_takes_the_colour_of_the_roof_that_it_is_joined_to() -> None:
     roof, roof_faces = quad((0, 0, 2), (2, 0, 0), (0, 2, 0), 20)
     wall, wall_faces = quad((0, 0, 2), (0, 0, -2), (2, 0, 0), 20)

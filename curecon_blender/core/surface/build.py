@@ -7,7 +7,8 @@ the cloud holds, and each piece of its surface is asked what carries it:
 
 * what two photos or more measured is *measured*, what one sure photo alone tells is *weak* (sight.py);
 * where walls, roofs and ground go on over a gap that no photo looks through (continuation.py), walls that stand unseen
-  under eaves (eaves.py), and small flat pieces with supported surface all around, are *filled*;
+  under eaves (eaves.py), the ground of a site (terrain.py), and small flat pieces with supported surface all around,
+  are *filled*;
 * anything else (balloons, skirts beyond the site's edge, bags under eaves) is cut away, along an iso-line of how far
   the nearest point is (borders.py).
 
@@ -42,6 +43,7 @@ from .refine import refined
 from .sight import Sight, weak_points
 from .slivers import flipped
 from .support import LEAST_POINTS, Support, median_spacing, remove_outliers, thin, usable_points
+from .terrain import Outline, closed_ground
 
 # More than that many points for each face that may stay do not show: they are thinned out, or a large site's mesh would
 # need memory without end.
@@ -50,11 +52,11 @@ _FEWEST_FACES = 250_000  # a smaller face target gets the points and the octree 
 _LARGEST_HOLE = 25.0  # median spacings from any measured point to the middle of a hole that is closed
 _GAP_REACH = 2.5  # median spacings from the points that continue a gap to what closes it
 _ROUNDING = 3  # rounds of averaging with the neighbours that make the surface's border smooth
-_REGION_MARGIN = 10.0  # median spacings: what lies just outside the region still shapes the surface within
+_MARGIN = 10.0  # median spacings: what lies just outside of region or site still shapes the surface within
 
 
 SHARES = (25, 35, 15, 15, 10)  # per cent of the time that each step takes
-_PASSES = 5  # times that each depth map is read
+_PASSES = 6  # times that each depth map is read
 WAITS = 15.0, 10.0  # seconds in which a million points go half through Poisson, and a million faces to fewer
 
 
@@ -63,8 +65,8 @@ class MeshOptions:
     """How the surface is made.
 
     `fill_holes`: close small holes and mark them as filled; False leaves them open, so that every face was measured.
-    `extent`: "site", without the background that photos saw only from afar, "building", what stands on the ground of
-    it, or "everything".
+    `extent`: "site", without the background that photos saw only from afar, its ground closed and its end smooth,
+    "building", what stands on the ground of it, or "everything".
     `max_faces`: simplify to at most so many triangles. `region`: low and high corner of an upright box in the site
     frame; only surface inside it is made.
     """
@@ -99,17 +101,10 @@ def build_mesh(
         sight.each = _counted(reporter, _PASSES * len(sight.views))
     cloud, local_spacing, thinned = _measured(cloud, options, sight, reporter)
     spacing = median_spacing(cloud.points)
-    gaps = cloud.take(np.zeros(0, np.int64))
-    if options.fill_holes and sight:
-        subject = cloud.take(within(cloud.points, sight.views, spacing, NEAR))
-        gaps = continued(subject, spacing, sight)
-        if sight.z_up:
-            walls = under_eaves(subject, gaps, spacing, sight)
-            reporter.log(f"{len(walls)} points stand for walls under eaves that no photo saw.")
-            gaps = joined(gaps, walls)
-        # What was closed goes on as well, and the ground to walls under eaves.
-        gaps = joined(gaps, continued(joined(subject, gaps), spacing, sight))
-        reporter.log(f"{len(gaps)} points continue walls, roofs and ground over gaps.")
+    gaps, outline = _continued(cloud, spacing, options, sight, reporter)
+    if outline is not None:
+        held = outline.depths(cloud.points) > -_MARGIN * spacing
+        cloud, local_spacing = cloud.take(held), local_spacing[held]
     if options.extent == "building":
         building, standing = find_building(cloud, sight.views if sight else (), spacing)
         cloud, local_spacing = cloud.take(standing), local_spacing[standing]
@@ -119,7 +114,7 @@ def build_mesh(
     count = max(options.max_faces, _FEWEST_FACES)
     vertices, faces = _untrimmed(joined(cloud, gaps), spacing, count, scratch, reporter)
     _begin(reporter, 2)
-    vertices, faces = _trimmed(vertices, faces, support, spacing, options)
+    vertices, faces = _trimmed(vertices, faces, support, spacing, options, outline)
     _begin(reporter, 3)
     if len(faces) > options.max_faces:
         vertices, faces = _simplified(vertices, faces, spacing, options, scratch, reporter)
@@ -204,7 +199,7 @@ def _measured(
     the cubes that they were thinned by."""
     cloud = usable_points(cloud, reporter)
     if options.region is not None:
-        cloud = _crop(cloud, np.array(options.region), _REGION_MARGIN * median_spacing(cloud.points))
+        cloud = _crop(cloud, np.array(options.region), _MARGIN * median_spacing(cloud.points))
     spacing = median_spacing(cloud.points)
     if sight:
         weak = weak_points(cloud, sight, spacing)
@@ -220,6 +215,30 @@ def _measured(
     return cloud.take(kept), local_spacing[kept], side
 
 
+def _continued(
+    cloud: Cloud, spacing: float, options: MeshOptions, sight: Sight | None, reporter: Reporter
+) -> tuple[Cloud, Outline | None]:
+    """Points (with 0 views) where surfaces go on that nobody measured, and where the site ends, if that is asked for
+    and known."""
+    gaps, outline = cloud.take(np.zeros(0, np.int64)), None
+    if options.fill_holes and sight:
+        subject = cloud.take(within(cloud.points, sight.views, spacing, NEAR))
+        gaps = continued(subject, spacing, sight)
+        if sight.z_up:
+            walls = under_eaves(subject, gaps, spacing, sight)
+            reporter.log(f"{len(walls)} points stand for walls under eaves that no photo saw.")
+            gaps = joined(gaps, walls)
+        # What was closed goes on as well, and the ground to walls under eaves.
+        gaps = joined(gaps, continued(joined(subject, gaps), spacing, sight))
+        reporter.log(f"{len(gaps)} points continue walls, roofs and ground over gaps.")
+    if options.extent == "site" and sight and sight.z_up:
+        ground, outline = closed_ground(cloud, gaps, spacing, sight)
+        if options.fill_holes:
+            gaps = joined(gaps, ground)
+            reporter.log(f"{len(ground)} points close the ground.")
+    return gaps, outline
+
+
 def _crop(cloud: Cloud, region: np.ndarray, margin: float) -> Cloud:
     """The points within `margin` of the region (2,3). Raises MeshError when too few lie in it."""
     low, high = region
@@ -231,9 +250,11 @@ def _crop(cloud: Cloud, region: np.ndarray, margin: float) -> Cloud:
 
 
 def _trimmed(
-    vertices: np.ndarray, faces: np.ndarray, support: Support, spacing: float, options: MeshOptions
+    vertices: np.ndarray, faces: np.ndarray, support: Support, spacing: float, options: MeshOptions,
+    outline: Outline | None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The sound part of Poisson's surface that lies in the region and is measured, or closes a hole."""
+    """The sound part of Poisson's surface that lies in the region and the site's outline and is measured, or closes a
+    hole."""
     distance, nearest = support.nearest(vertices)
     slack = (1 - distance / support.radius[nearest]).clip(-1, 1)
     loose = np.flatnonzero(slack < 0)
@@ -243,6 +264,8 @@ def _trimmed(
     slack[worth_keeping(vertices, faces, supported, distance, largest_hole) & ~supported] = 1
     before = len(vertices)
     vertices, faces = clip(vertices, faces, smoothed(slack, faces, _ROUNDING))
+    if outline is not None:
+        vertices, faces = clip(vertices, faces, outline.depths(vertices))
     if options.region is not None:
         for axis, (low, high) in enumerate(np.array(options.region).T):
             vertices, faces = clip(vertices, faces, vertices[:, axis] - np.float32(low))

@@ -12,7 +12,7 @@ from .triangles import face_neighbours, face_normals, mesh_edges, triangle_areas
 
 _FLAT = 0.85  # length of a piece's mean unit normal, from which on it goes on as the surface around it does
 _SMALLEST_PART = 500  # points' worth of surface: a part with less is floating dust
-_SMALLEST_SHARE = 0.002  # of the largest part: what is smaller, and hangs together with nothing, is a raft
+_SMALLEST_SHARE = 0.001  # of the largest part: what is smaller, and hangs together with nothing, is a raft
 _SHORTEST_EDGE = 1e-3  # median spacings: vertices nearer than this are one
 _SAMPLE = 20_000  # faces that tell which way they all look
 

@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ from ..base.files import disk_errors
 from ..base.language import Text
 from ..base.messages import Reporter
 from ..base.ply import column, read_ply, row_type, table, write_ply
-from ..cloud.ply import Cloud, CloudWriter
+from ..cloud.ply import Cloud, CloudWriter, joined
 from .mesh import MeshError
 from .triangles import triangle_areas
 
@@ -67,11 +68,10 @@ def poisson(
     cloud: Cloud, spacing: float, count: int, scratch: Path, reporter: Reporter
 ) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (n,3) float32 and faces (m,3) int32 of the untrimmed Poisson surface, from an octree whose leaves are
-    one to two times `spacing` wide, or wider where more than _SURPLUS times the `count` of faces that may stay would
-    come of them. Raises MeshError, and WorkspaceError for a full disk."""
-    extent = _CUBE * float(np.ptp(cloud.points, axis=0).max())
+    `spacing` wide, or wider where more than _SURPLUS times the `count` of faces that may stay would come of them.
+    Raises MeshError, and WorkspaceError for a full disk."""
     leaf = spacing * max(1.0, np.sqrt(_FACES_A_POINT * len(cloud) / (_SURPLUS * count)))
-    depth = int(np.clip(np.floor(np.log2(extent / leaf)), *_DEPTHS))
+    cloud, depth = _as_wide_as_leaves_ask(cloud, leaf)
     source, target = scratch / "poisson_points.ply", scratch / "poisson_surface.ply"
     with _exchange(source, target, "No surface could be made of the cloud",
                    "See that the disk is not full; reconstruct again if the cloud looks wrong."):
@@ -95,6 +95,19 @@ def simplify(
         _run(_COLLAPSE, source, target, [count, _EAGERNESS], reporter)
         with np.load(target) as found:
             return (found["vertices"] * (edge / _EDGE) + middle).astype(np.float32), found["faces"].astype(np.int32)
+
+
+def _as_wide_as_leaves_ask(cloud: Cloud, leaf: float) -> tuple[Cloud, int]:
+    """The cloud, and a depth of the octree at which its leaves are so wide: Poisson halves the cloud's own width, so
+    that leaves could be twice as wide as asked for. One point far beside the cloud makes it wider; what comes of it is
+    cut away, as nothing measured lies near."""
+    extent = _CUBE * np.ptp(cloud.points, axis=0)
+    axis = int(extent.argmax())
+    depth = int(np.clip(np.ceil(np.log2(extent[axis] / leaf)), *_DEPTHS))
+    beside = cloud.take(cloud.points[:, axis].argmin(keepdims=True))
+    away = np.zeros(3, np.float32)
+    away[axis] = max(leaf * 2**depth - extent[axis], 0) / _CUBE
+    return joined(cloud, replace(beside, points=beside.points - away)), depth
 
 
 @contextmanager

@@ -80,10 +80,12 @@ def add_candidates(
     rim = np.clip(seen.rim / (_RIM * size), _RIM_LEAST, 1)
     resolution = source.full.K[0, 0] / seen.depth
     quality = (resolution * np.clip(cosine, 0.05, 1)) ** 2 * np.sqrt(sharpness) * rim
-    quality[_occluded(source, seen)] *= _BEHIND
+    occluded = _occluded(source, seen)
+    quality[occluded] *= _BEHIND
     colour = sample(cv2.blur(picture, (window, window)), *seen.centre.T)
     quality[~seen.whole] *= -1
-    shown = ~_masked(source, seen, mesh)
+    # Nothing measured says that a filled face is where the photo shows anything: what stands before it is no colour.
+    shown = ~_masked(source, seen, mesh) & ~(occluded & mesh.filled[seen.face])
     candidates.add(number, seen.face[shown], quality[shown].astype(np.float32), colour[shown])
 
 
