@@ -277,7 +277,7 @@ def test_filled_ground_takes_no_colour_of_what_photos_show_before_it(scene: tupl
     workspace, component = scene
     for view in component.views:
         depth, _ = box_scene.cast(view)
-        box_scene.write_depth(workspace, view, depth, np.full(depth.shape, 0.9, np.float32))
+        box_scene.write_depth(workspace, view, depth, np.full(depth.shape, 0.2, np.float32))
     vertices, faces = quad((-3, -3, 0), (6, 0, 0), (0, 6, 0), 40)
     under = (np.abs(vertices[faces].mean(axis=1)[:, :2]) < 0.8).all(axis=1)
     mesh, _ = textured(scene, replace(

@@ -345,7 +345,7 @@ STAGES = {stage.name: stage for stage in (
           options=("min_confidence", "min_views", "max_reprojection_error", "max_depth_difference")),
     Stage(name="mesh", version=8, weight=0.15, files=("mesh*.ply",), run=_build_meshes, inputs=_edits,
           options=("fill_holes", "extent", "mesh_faces", "region", "region_turn")),
-    Stage(name="texture", version=5, weight=0.25, files=("textured*/*",), run=_texture_meshes,
+    Stage(name="texture", version=6, weight=0.25, files=("textured*/*",), run=_texture_meshes,
           options=("texture_size", "texture_format")),
 )}
 DETAIL_STAGES = {level: Stage(

@@ -80,7 +80,7 @@ def add_candidates(
     rim = np.clip(seen.rim / (_RIM * size), _RIM_LEAST, 1)
     resolution = source.full.K[0, 0] / seen.depth
     quality = (resolution * np.clip(cosine, 0.05, 1)) ** 2 * np.sqrt(sharpness) * rim
-    occluded = _occluded(source, seen)
+    occluded = _occluded(source, seen, mesh.filled[seen.face])
     quality[occluded] *= _BEHIND
     colour = sample(cv2.blur(picture, (window, window)), *seen.centre.T)
     quality[~seen.whole] *= -1
@@ -102,19 +102,23 @@ def _picture(source: Source, reporter: Reporter) -> np.ndarray | None:
     return picture
 
 
-def _occluded(source: Source, seen: Seen) -> np.ndarray:
+def _occluded(source: Source, seen: Seen, filled: np.ndarray) -> np.ndarray:
     """Whether each face seen (n,) lies behind what the photo's depth map has there: a branch or a passer-by that is
-    no part of the mesh. All False where the workspace has no depth map that fits."""
+    no part of the mesh. Before a `filled` face (n,) unsure depth counts too. All False where the workspace has no depth
+    map that fits."""
     try:
         depth, confidence = read_depth(source.workspace, source.view)
     except WorkspaceError:
         return np.zeros(len(seen.face), bool)
-    # Without speckles, then widened: the photo at a face's corner counts as much as at its middle.
-    known = cv2.medianBlur(np.where(confidence >= _CONFIDENT, depth, 0).astype(np.float32), 5)
-    reach = max(7, 2 * round(max(depth.shape) / 200) + 1)
-    near = np.asarray(cv2.erode(np.where(known > 0, known, np.float32(np.inf)), np.ones((reach, reach), np.uint8)))
     column, row = seen.centre.astype(np.int64).T
-    behind: np.ndarray = near[row, column] < (1 - _IN_FRONT) * seen.depth
+    reach = max(7, 2 * round(max(depth.shape) / 200) + 1)
+    nearest = np.zeros(len(seen.face), np.float32)
+    for least, which in ((_CONFIDENT, ~filled), (0.0, filled)):
+        # Without speckles, then widened: the photo at a face's corner counts as much as at its middle.
+        known = cv2.medianBlur(np.where(confidence >= least, depth, 0).astype(np.float32), 5)
+        near = np.asarray(cv2.erode(np.where(known > 0, known, np.float32(np.inf)), np.ones((reach, reach), np.uint8)))
+        nearest[which] = near[row[which], column[which]]
+    behind: np.ndarray = nearest < (1 - _IN_FRONT) * seen.depth
     return behind
 
 
