@@ -76,12 +76,19 @@ def test_behind_half_a_house_the_ground_goes_on_under_its_roof_to_the_wall_that_
     assert under.sum() > 0.5 * 2.4 * 0.3 / (2 * SPACING) ** 2 and np.abs(found.points[under, 2]).max() < 0.1
 
 
-def test_a_tongue_of_ground_is_cut_off_and_one_that_carries_a_house_is_not() -> None:
+def test_a_tongue_of_ground_is_cut_off_and_one_that_carries_a_house_or_a_wall_is_not() -> None:
     tongue = plane((-0.25, HALF, 0), (0.5, 0, 0), (0, 3, 0))
     end = np.array([[0, HALF + 2, 0]])
     assert made(joined(field(), tongue))[1].depths(end)[0] < 0
     roof = plane((-0.6, HALF + 1.4, 2), (1.2, 0, 0), (0, 1.2, 0))
-    assert made(joined(field(), tongue, roof))[1].depths(end)[0] > 0
+    wall = plane((0, HALF, 0), (0, 3, 0), (0, 0, 2))
+    for built in (roof, wall):
+        assert made(joined(field(), tongue, built))[1].depths(end)[0] > 0
+
+
+def test_nothing_of_a_facade_alone_is_cut_off() -> None:
+    facade = joined(plane((-5, 0, 0), (10, 0, 0), (0, 0, 3)), plane((-5, -0.3, 0), (10, 0, 0), (0, 0.3, 0)))
+    assert (made(facade)[1].depths(facade.points) > -2 * SPACING).all()
 
 
 def test_a_narrow_bay_is_closed_and_what_lies_beyond_the_site_is_not() -> None:

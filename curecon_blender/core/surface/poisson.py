@@ -28,7 +28,7 @@ from .mesh import MeshError
 from .triangles import triangle_areas
 
 _DEPTHS = (6, 12)  # of the octree; its memory grows with the points, not with the depth
-_SURPLUS = 6  # faces made for each one that stays: more cost time and memory, and show no more
+_SURPLUS = 4.5  # faces made for each one that stays: more cost time and memory, and show no more
 _FACES_A_POINT = 3  # that come of leaves as wide as the points' spacing
 _CUBE = 1.1  # Poisson's cube is this much larger than the cloud
 _LEAST_FREE = 1 << 20  # bytes: a disk with less is full

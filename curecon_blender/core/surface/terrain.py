@@ -71,8 +71,7 @@ def closed_ground(cloud: Cloud, gaps: Cloud, spacing: float, sight: Sight) -> tu
     """Points (with 0 views) that close the ground of `cloud`, and where the site ends. `gaps` are the points that
     continue its surfaces. Z is up."""
     plan = _from_above(cloud, gaps, spacing)
-    outline = _outline(plan)
-    inside = outline.depth > 0
+    inside, outline = _site(plan)
     open_ = _amid_ground(inside & (~plan.seen | plan.hung_over) & ~plan.built, inside, plan)
     reach = _TONGUE * np.sqrt(plan.seen.sum())
     open_ |= plan.built & np.isnan(plan.height) & ~_eroded(~_opened(open_, 0.5 * reach), reach)
@@ -105,7 +104,7 @@ def _from_above(cloud: Cloud, gaps: Cloud, spacing: float) -> _Plan:
     built = (np.bincount(part[*measured[:, high]], smooth, part.max() + 1) > 0)[part] & (part > 0)
     with np.errstate(invalid="ignore", divide="ignore"):
         return _Plan(low, side, _sums(measured, shape) > 0, total / count,
-                     np.isfinite(lowest) & (lowest > _CLEAR * side), ndimage.binary_opening(built))
+                     np.isfinite(lowest) & (lowest > _CLEAR * side), built)
 
 
 def _sums(column: np.ndarray, shape: tuple[int, ...], values: np.ndarray | None = None) -> np.ndarray:
@@ -114,13 +113,17 @@ def _sums(column: np.ndarray, shape: tuple[int, ...], values: np.ndarray | None 
     return found.reshape(shape)
 
 
-def _outline(plan: _Plan) -> Outline:
+def _site(plan: _Plan) -> tuple[np.ndarray, Outline]:
+    """Which columns (w,h) belong to the site, and its outline, which leaves some room about what is built: rounding it
+    would cut a thin wall."""
     size = np.sqrt(plan.seen.sum())
     carries = plan.seen & ~_eroded(~plan.built, _TONGUE * size)
     seen = ndimage.binary_fill_holes(ndimage.binary_closing(plan.seen))
     inside = ~_opened(~(_opened(seen, _TONGUE * size) | carries), _BAY * size)
-    depth = ndimage.distance_transform_edt(inside) - ndimage.distance_transform_edt(~inside)
-    return Outline(plan.low, plan.side, ndimage.gaussian_filter(depth - 0.5 * np.sign(depth), _ROUND) * plan.side)
+    held = inside | ~_eroded(~carries, 2 * _ROUND)
+    depth = ndimage.distance_transform_edt(held) - ndimage.distance_transform_edt(~held)
+    return inside, Outline(plan.low, plan.side,
+                           ndimage.gaussian_filter(depth - 0.5 * np.sign(depth), _ROUND) * plan.side)
 
 
 def _eroded(inside: np.ndarray, radius: float) -> np.ndarray:
