@@ -232,7 +232,8 @@ def _continued(
         gaps = joined(gaps, continued(joined(subject, gaps), spacing, sight))
         reporter.log(f"{len(gaps)} points continue walls, roofs and ground over gaps.")
     if options.extent == "site" and sight and sight.z_up:
-        ground, outline = closed_ground(cloud, gaps, spacing, sight)
+        ground, site = closed_ground(cloud, gaps, spacing, sight)
+        outline = site if options.region is None else None  # the region's own box says where it ends
         if options.fill_holes:
             gaps = joined(gaps, ground)
             reporter.log(f"{len(ground)} points close the ground.")

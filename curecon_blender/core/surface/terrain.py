@@ -14,6 +14,7 @@ All is seen from above, in columns.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
@@ -28,7 +29,8 @@ from .triangles import unit
 
 _COLUMN = 6.0  # spacings: side of the columns
 _MOST_COLUMNS = 1500  # along each side of a site
-_BAY, _TONGUE = 0.15, 0.05  # of the root of the site's area: radius of the disc outside, and of that within
+_TONGUE = 0.05, 0.5  # of the root of the site's area, and of its widest place at most: radius of the disc within
+_BAY = 3.0  # times that: radius of the disc outside
 _PITCH = 2.0  # spacings between the points that close the ground
 _FLAT = 0.7  # of a normal's z: ground at least
 _SMOOTH = 0.8  # length of the mean normal about the points of a building, their mean: below, it is a tree
@@ -66,6 +68,18 @@ class _Plan:
     hung_over: np.ndarray
     built: np.ndarray
 
+    @cached_property
+    def whole(self) -> np.ndarray:
+        """What was seen, without holes."""
+        closed: np.ndarray = ndimage.binary_fill_holes(ndimage.binary_closing(self.seen))
+        return closed
+
+    @cached_property
+    def reach(self) -> float:
+        """Radius of the disc that rolls within, in columns."""
+        widest = float(ndimage.distance_transform_edt(self.whole).max())
+        return min(_TONGUE[0] * float(np.sqrt(self.seen.sum())), _TONGUE[1] * widest)
+
 
 def closed_ground(cloud: Cloud, gaps: Cloud, spacing: float, sight: Sight) -> tuple[Cloud, Outline]:
     """Points (with 0 views) that close the ground of `cloud`, and where the site ends. `gaps` are the points that
@@ -73,8 +87,8 @@ def closed_ground(cloud: Cloud, gaps: Cloud, spacing: float, sight: Sight) -> tu
     plan = _from_above(cloud, gaps, spacing)
     inside, outline = _site(plan)
     open_ = _amid_ground(inside & (~plan.seen | plan.hung_over) & ~plan.built, inside, plan)
-    reach = _TONGUE * np.sqrt(plan.seen.sum())
-    open_ |= plan.built & np.isnan(plan.height) & ~_eroded(~_opened(open_, 0.5 * reach), reach)
+    # What nobody saw of the ground goes on under the open side of half a house.
+    open_ |= plan.built & np.isnan(plan.height) & ~_eroded(~_opened(open_, 0.5 * plan.reach), plan.reach)
     level = _membrane(plan.height, open_)
     points, normals = _spread(level, open_ & np.isfinite(level), plan, spacing)
     made = ~_empty(points, looked_through(points, sight) > 0, plan)
@@ -87,7 +101,7 @@ def _from_above(cloud: Cloud, gaps: Cloud, spacing: float) -> _Plan:
         (cloud.points, gaps.points), (cloud.normals, gaps.normals)))
     low = points[:, :2].min(axis=0).astype(np.float64)
     column = np.floor((points[:, :2] - low) / side).astype(np.int64).T
-    rim = int(_BAY * np.sqrt(column.max(axis=1).prod())) + 2
+    rim = int(_BAY * _TONGUE[0] * np.sqrt((column.max(axis=1) + 1).prod())) + 2
     low, column = low - rim * side, column + rim
     shape = tuple(column.max(axis=1) + 1 + rim)
     measured = column[:, : len(cloud)]
@@ -116,10 +130,8 @@ def _sums(column: np.ndarray, shape: tuple[int, ...], values: np.ndarray | None 
 def _site(plan: _Plan) -> tuple[np.ndarray, Outline]:
     """Which columns (w,h) belong to the site, and its outline, which leaves some room about what is built: rounding it
     would cut a thin wall."""
-    size = np.sqrt(plan.seen.sum())
-    carries = plan.seen & ~_eroded(~plan.built, _TONGUE * size)
-    seen = ndimage.binary_fill_holes(ndimage.binary_closing(plan.seen))
-    inside = ~_opened(~(_opened(seen, _TONGUE * size) | carries), _BAY * size)
+    carries = plan.seen & ~_eroded(~plan.built, plan.reach)
+    inside = ~_opened(~(_opened(plan.whole, plan.reach) | carries), _BAY * plan.reach)
     held = inside | ~_eroded(~carries, 2 * _ROUND)
     depth = ndimage.distance_transform_edt(held) - ndimage.distance_transform_edt(~held)
     return inside, Outline(plan.low, plan.side,
@@ -128,7 +140,7 @@ def _site(plan: _Plan) -> tuple[np.ndarray, Outline]:
 
 def _eroded(inside: np.ndarray, radius: float) -> np.ndarray:
     """Where a disc of this radius, in columns, lies inside."""
-    far: np.ndarray = ndimage.distance_transform_edt(inside) > radius
+    far: np.ndarray = inside if inside.all() else ndimage.distance_transform_edt(inside) > radius
     return far
 
 
@@ -141,8 +153,7 @@ def _empty(points: np.ndarray, through: np.ndarray, plan: _Plan) -> np.ndarray:
     """Which of points (n,3) on the ground are empty, (n,) bool: photos look `through` (n,) most of those about them. A
     photo taken near the ground grazes it, and looks through what lies a little too high."""
     column = np.floor((points - np.append(plan.low, 0))[:, :2] / plan.side).astype(np.int64).T
-    reach = 0.5 * _TONGUE * np.sqrt(plan.seen.sum())
-    looked, of = (ndimage.gaussian_filter(_sums(column, plan.seen.shape, which), reach) for which in (
+    looked, of = (ndimage.gaussian_filter(_sums(column, plan.seen.shape, which), 0.5 * plan.reach) for which in (
         through, np.ones(len(points))))
     found: np.ndarray = looked[*column] > 0.5 * of[*column]
     return found
