@@ -109,6 +109,23 @@ def test_a_new_one_keeps_the_estimate() -> None:
     torch.testing.assert_close(refined.probability.sum(1), torch.ones(1, 64, 96))
 
 
+@pytest.mark.parametrize("listens", [True, False])
+def test_what_lies_at_the_other_end_of_a_picture_tells_what_is_likely_here(listens: bool) -> None:
+    torch.manual_seed(0)
+    refinement = Refinement(8)
+    torch.nn.init.normal_(refinement.leave.weight)
+    for parameter in refinement.surroundings.parameters() if listens else ():
+        torch.nn.init.normal_(parameter, std=0.1)
+    picture, sure = torch.rand(1, 3, 64, 960), torch.full((1, 3, 64, 960), 0.9)
+    nothing = torch.zeros(1, 2 * POINT_KINDS, 16, 240)
+    far = picture.clone()
+    far[..., :64] = 0.0
+    with torch.inference_mode():
+        here, there = (refinement(colours, sloping(64, 960), sure, INTERVAL, nothing).logits[..., -8:]
+                       for colours in (picture, far))
+    assert (not torch.allclose(here, there, rtol=0, atol=1e-6)) == listens
+
+
 @pytest.mark.parametrize("decided", [0.3, 3.0])
 def test_the_fused_choice_is_the_plain_one(decided: float) -> None:
     torch.manual_seed(0)

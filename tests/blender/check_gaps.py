@@ -45,12 +45,12 @@ try:
     assert (enough == (kept.short == 0)).all() and 0 < enough.sum() < len(enough)
     photos = [item for item in top.objects if item.type == "CAMERA"]
     assert photos and all(gaps.says(item).endswith(".") for item in photos) and gaps.says(squares) == ""
-    # A photo looks at the site: its middle ray passes near to a patch.
+    # A photo looks at the site: its middle ray passes near to a patch, or between those that it is to show.
     for item in photos:
         forward, eye = np.array(item.matrix_world.to_3x3()) @ [0, 0, -1], np.array(item.matrix_world.translation)
         rays = kept.parts.places + [100, 0, 0] - eye
         cosine = rays @ forward / np.linalg.norm(rays, axis=1)
-        assert cosine.max() > 0.98 and eye[2] > kept.parts.places[:, 2].min()
+        assert cosine.max() > 0.95 and eye[2] > kept.parts.places[:, 2].min()
 finally:
     curecon_blender.unregister()
 print("CHECKED")

@@ -6,10 +6,10 @@ What no source sees, or what is too plain to match, mostly goes on as the surfac
 points lie on it, for some photo of the flight has seen what the four source views have not. Planes are straight in
 inverse depth, so one is fitted in closed form through the confident pixels and the points of windows of three sizes,
 around each pixel and to its four sides, and through the points alone around it. A small 2D U-Net at a quarter of the
-photo sees the photo, the cascade's estimate with its confidence, and the points. It selects the pixels of a few planes
-that reach across the whole picture (the ground behind a building is the ground before it), chooses between a pixel's
-own estimate and the values of all those planes there, and predicts the choice's confidence. It goes beyond the paper;
-see docs/design/network.md.
+photo sees the photo, the cascade's estimate with its confidence, and the points; at its coarsest scale it looks over
+the whole picture. It selects the pixels of a few planes that reach across the picture (the ground behind a building is
+the ground before it), chooses between a pixel's own estimate and the values of all those planes there, and predicts the
+choice's confidence. It goes beyond the paper; see docs/design/network.md.
 
 Shapes as in model.py; a quarter is h, w = H/4, W/4.
 """
@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import cast
 
 import numpy as np
 import torch
@@ -39,6 +40,8 @@ _COORDINATE = 50.0  # pixels of a quarter to one unit of the fits' coordinates, 
 _MIN_WEIGHT = 1e-5  # of a pixel without any confidence
 _RIDGE = 1e-4  # of a window's spread, in those units squared: a window with one confident pixel gives a level plane
 _WIDTHS = (1, 2, 2, 2)  # of the U-Net at each scale, times its channels
+_SURROUNDINGS = 128  # channels of what looks over the whole picture
+_DILATIONS = (1, 2, 4, 1, 2, 4)  # of its blocks, in pixels of the U-Net's coarsest scale
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,7 @@ class Refinement(nn.Module):
         self.down = nn.ModuleList(_conv(w, wider, stride=2) for w, wider in steps)
         self.up = nn.ModuleList(nn.ConvTranspose2d(wider, w, 2, 2) for w, wider in steps[::-1])
         self.merge = nn.ModuleList(_conv(w) for w in widths[-2::-1])
+        self.surroundings = Surroundings(widths[-1], 3 + 2 * POINT_KINDS)
         self.belong = nn.Conv2d(c, PLANES, 1)
         self.leave = nn.Conv2d(c, (CANDIDATES + 2) * STEP**2, 1)
         with torch.no_grad():  # begins by keeping every pixel's own estimate
@@ -101,20 +105,46 @@ class Refinement(nn.Module):
         plane_terms = moments(quarter)
         windows = _window_planes_of(plane_terms, confidence, point_t, has_point, torch.sigmoid(weight_logits))
         difference = _intervals(evaluate_planes(windows, 1) - quarter, interval)
-        features = self._u_net(self.enter(torch.cat([inputs, weight_logits.clamp(-4, 4) / 4, difference], 1)))
+        depths = torch.cat([quarter, quarter * confidence, confidence, points], 1)
+        features = self._u_net(self.enter(torch.cat([inputs, weight_logits.clamp(-4, 4) / 4, difference], 1)), depths)
         membership = torch.sigmoid(self.belong(features).float()) * confidence + _MIN_WEIGHT
         across = torch.stack(picture_planes(plane_terms, membership), 1).expand(-1, -1, -1, *quarter.shape[2:])
         return Proposal(torch.cat([windows, across], 1), self.leave(features).float())
 
-    def _u_net(self, x: Tensor) -> Tensor:
+    def _u_net(self, x: Tensor, depths: Tensor) -> Tensor:
         skips = []
         for scale, at in enumerate(self.at):
             x = at(self.down[scale - 1](x) if scale else x)
             skips.append(x)
         x = skips.pop()
+        x = x + self.surroundings(x, F.avg_pool2d(depths, 2 ** (len(_WIDTHS) - 1)))
         for up, merge in zip(self.up, self.merge, strict=True):
             x = merge(up(x) + skips.pop())
         return x
+
+
+class Surroundings(nn.Module):
+    """What the whole picture says of each pixel of the U-Net's coarsest scale: features (B,C,h,w) to add to those it
+    has, from those and from `depths` (B,D,h,w), how deep it lies. Begins by saying nothing, so that weights from before
+    it are good weights to begin with."""
+
+    def __init__(self, channels: int, depths: int) -> None:
+        super().__init__()
+        self.enter = nn.Sequential(nn.Conv2d(channels + depths, _SURROUNDINGS, 1), nn.ReLU())
+        self.blocks = nn.ModuleList(nn.Sequential(_dilated(dilation), nn.ReLU(), _dilated(dilation))
+                                    for dilation in _DILATIONS)
+        self.overall = nn.ModuleList(nn.Conv2d(_SURROUNDINGS, _SURROUNDINGS, 1) for _ in _DILATIONS)
+        self.leave = nn.Conv2d(_SURROUNDINGS, channels, 1)
+        for silent in (*(cast(nn.Sequential, block)[-1] for block in self.blocks), *self.overall, self.leave):
+            for parameter in silent.parameters():
+                nn.init.zeros_(parameter)
+
+    def forward(self, features: Tensor, depths: Tensor) -> Tensor:
+        x = self.enter(torch.cat([features, depths], 1))
+        for block, overall in zip(self.blocks, self.overall, strict=True):
+            x = F.relu(x + block(x) + overall(x.mean((2, 3), keepdim=True)))
+        said: Tensor = self.leave(x)
+        return said
 
 
 def refined_depth(t: Tensor, proposal: Proposal, interval: float) -> tuple[Tensor, Tensor]:
@@ -247,6 +277,10 @@ def _intervals(difference: Tensor, interval: float) -> Tensor:
 
 def _enlarged(quarter: Tensor) -> Tensor:
     return F.interpolate(quarter, scale_factor=float(STEP), mode="nearest")
+
+
+def _dilated(dilation: int) -> nn.Conv2d:
+    return nn.Conv2d(_SURROUNDINGS, _SURROUNDINGS, 3, 1, dilation, dilation)
 
 
 def _conv(inputs: int, outputs: int | None = None, stride: int = 1) -> nn.Sequential:
