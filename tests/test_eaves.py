@@ -73,6 +73,18 @@ def test_a_short_stretch_of_dark_ground_beside_a_roof_opens_no_wall() -> None:
     assert len(found.take(np.abs(found.points[:, 0]) < 0.6)) > 0.8 * (2 * 0.6 * EAVE) / SPACING**2
 
 
+def test_a_roof_that_reaches_over_another_does_not_tell_how_far_that_one_juts_out() -> None:
+    high, far = 6.0, 1.3  # a tower's eaves, and how far they jut out
+    side = LONG + JUT - 2 * SPACING  # of the tower's roof, above the edge of the house's
+    tower = joined(plane((side, -3 - far, high), (6 + 2 * far, 0, 0), (0, 6 + 2 * far, 0)),
+                   plane((side + far, 3, 0), (6, 0, 0), (0, 0, high)),
+                   plane((side + far + 6, -3, 0), (0, 6, 0), (0, 0, high)),
+                   plane((side + far, -3, 0), (6, 0, 0), (0, 0, high)))
+    found = made(joined(house(), tower))
+    middle = found.points[np.abs(found.points[:, 0]) < LONG - JUT]
+    assert len(middle) and np.abs(middle[:, 1] + WIDE).max() < 0.15
+
+
 def test_the_ground_goes_on_to_a_wall_that_stands_under_an_eave(tmp_path: Path) -> None:
     mesh = build_mesh(house(), MeshOptions(), tmp_path / "scratch", Reporter(), Looks(30.0, sure=False))
     centres = mesh.vertices[mesh.faces].mean(axis=1)

@@ -121,6 +121,16 @@ def test_the_photos_asked_for_close_more_than_as_many_at_random() -> None:
     assert before - found.share > 2 * (before - np.mean(left))
 
 
+def test_no_photo_is_asked_for_whose_middle_looks_past_the_site() -> None:
+    taken = eyes_of(DRONE, np.array([[6.0, -25, 8]]), np.array([0.0]), np.array([5.0]))
+    chosen = []
+    for heading in (0.0, 40.0):  # both see the south wall, the second one at its picture's side
+        found, _, solid = judged(taken)
+        offered = eyes_of(DRONE, np.array([[0.0, -25, 8]]), np.array([heading]), np.array([5.0]))
+        chosen.append(len(gaps.advise(found, taken, offered, solid, 1)))
+    assert chosen == [1, 0]
+
+
 @pytest.mark.parametrize("filled", [True, False])
 def test_what_was_filled_or_never_found_counts_as_seen_by_nobody(filled: bool) -> None:
     found, _, _ = judged(flown(south=True), south_wall=filled, filled=filled)

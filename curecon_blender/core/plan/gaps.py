@@ -18,6 +18,7 @@ from .wishes import MOST_PHOTOS
 _LEAST = 0.01  # of all that is lacking: a photo that adds less is not worth the flight
 _LINKED = 0.3  # of what a photo sees, what one that looks alike sees, too: with less it is not placed
 _ALIKE = 45.0  # degrees
+_AIMED = 11.5  # degrees from a photo's middle to the nearest patch that it shows, at most: others look past the site
 
 
 def advise(judged: Judged, taken: Eyes, offered: Eyes, sight: Sight, most: int = MOST_PHOTOS) -> np.ndarray:
@@ -36,6 +37,9 @@ def advise(judged: Judged, taken: Eyes, offered: Eyes, sight: Sight, most: int =
     for number, eye in enumerate(offered.centres):
         of = slice(ends[number], ends[number + 1])
         rays[of] = rays_to(judged.patches.parts.places[n[of]], eye)
+    off = np.full(len(offered), np.pi)
+    np.minimum.at(off, m, np.arccos(np.clip(-(rays * offered.turns[m, 2]).sum(axis=1), -1, 1)))
+    aimed = off < np.radians(_AIMED)
     views = np.zeros((len(offered), len(judged.patches)), np.float32)
     views[m, n] = np.sqrt(judged.patches.areas[n])
     total = np.maximum((views**2).sum(axis=1), 1e-9)
@@ -48,7 +52,8 @@ def advise(judged: Judged, taken: Eyes, offered: Eyes, sight: Sight, most: int =
     chosen: list[int] = []
     while len(chosen) < most:
         new = fine & news(judged, n, rays)
-        gain = np.bincount(m[new], judged.patches.areas[n[new]], len(offered)) * np.minimum(linked / total / _LINKED, 1)
+        area = np.bincount(m[new], judged.patches.areas[n[new]], len(offered))
+        gain = area * np.minimum(linked / total / _LINKED, 1) * aimed
         best = int(gain.argmax()) if len(offered) else -1
         if best < 0 or gain[best] <= _LEAST * lacking:
             break

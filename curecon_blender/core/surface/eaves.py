@@ -30,6 +30,7 @@ _SMOOTH = 0.75  # length of the mean normal about a point of a roof: below, it i
 _TALL = 0.15  # of the height of what stands on the site: what is lower is no roof
 _UP, _STEEP = 0.4, 0.5  # of a normal's z: of a roof at least, of a wall at most
 _LEAST = 100  # columns of a roof
+_STEP = 2**0.5 * (1 - _UP**2) ** 0.5 / _UP  # columns that one column is above the next: no roof is so steep
 _FACING = 0.6  # cosine between a wall's normal and the direction to the edge over it
 _JUTTING = 0.6  # of an eave's height: so far in a wall is looked for
 _BETWEEN = 0.1, 0.8  # of the same: what is measured lower or higher is the ground or the edge of the roof
@@ -111,7 +112,10 @@ def _find_roofs(cloud: Cloud, spacing: float) -> _Roofs:
     top = np.full(ground.shape, -np.inf)
     np.maximum.at(top, tuple(column[:, roof]), cloud.points[roof, 2])
     top[np.isinf(top)] = np.nan
-    covered = ndimage.binary_opening(ndimage.binary_closing(np.isfinite(top)), iterations=2)
+    closed = ndimage.binary_closing(np.isfinite(top))
+    level = top[*ndimage.distance_transform_edt(np.isnan(top), return_distances=False, return_indices=True)]
+    under_another = ndimage.maximum_filter(np.where(closed, level, -np.inf), 3) - level > _STEP * side
+    covered = ndimage.binary_opening(closed & ~under_another, iterations=2)
     part = ndimage.label(covered, np.ones((3, 3)))[0]
     large = np.bincount(part.ravel()) >= _LEAST
     large[0] = False
