@@ -38,10 +38,10 @@ def plane(origin: tuple[float, ...], u: tuple[float, ...], v: tuple[float, ...])
                  views=np.full(count, 4, np.uint8))
 
 
-def house() -> Cloud:
+def house(roof: float = ROOF) -> Cloud:
     """A wall at y = 0 that looks to -y, measured up to TOP, with a roof over it that juts out, and the ground before
     it."""
-    return joined(plane((-2, 0, 0), (4, 0, 0), (0, 0, TOP)), plane((-2, -1.5, ROOF), (4, 0, 0), (0, 3, 0)),
+    return joined(plane((-2, 0, 0), (4, 0, 0), (0, 0, TOP)), plane((-2, -1.5, roof), (4, 0, 0), (0, 3, 0)),
                   plane((-2, -3, 0), (4, 0, 0), (0, 3, 0)))
 
 
@@ -70,6 +70,15 @@ def test_a_wall_goes_on_up_to_its_roof_where_no_photo_is_sure() -> None:
     assert (heights > 10).all()
     assert (made.views == 0).all()
     assert not (made.points[:, 2] > ROOF + SPACING).any() and made.points[:, 2].min() > -SPACING
+
+
+def test_a_wide_gap_closes_too_however_dense_the_points_are() -> None:
+    roof = 5.6
+    made = continued(house(roof), SPACING, Looks(30.0, sure=False))
+    middle = made.points[(np.abs(made.normals[:, 1]) > 0.9) & (np.abs(made.points[:, 0]) < 1)]
+    assert np.abs(middle[:, 1]).max() < 2 * SPACING and middle[:, 2].max() < roof + SPACING
+    heights = np.histogram(middle[:, 2], np.arange(TOP + 0.2, roof - 0.3, 0.1))[0]
+    assert (heights > 0.6 * 2 / SPACING * 0.1 / SPACING).all()
 
 
 @pytest.mark.parametrize("z_up", [True, False])

@@ -56,7 +56,7 @@ _MARGIN = 10.0  # median spacings: what lies just outside of region or site stil
 
 
 SHARES = (25, 35, 15, 15, 10)  # per cent of the time that each step takes
-_PASSES = 6  # times that each depth map is read
+_PASSES = 8  # times that each depth map is read
 WAITS = 15.0, 10.0  # seconds in which a million points go half through Poisson, and a million faces to fewer
 
 

@@ -18,13 +18,16 @@ from typing import Any
 
 import numpy as np
 from numba import njit
+from scipy.spatial import cKDTree
 
-from ..cloud.ply import Cloud
+from ..cloud.ply import Cloud, joined
 from .cells import cell_numbers
 from .sheets import BLOCKED, CELL, EMPTY, GAP, HEIGHT, OWN, WIDTH, fit_sheets, gather
 from .sight import FINE, Sight, looked_through
 
 _DENSE = 2  # points for each node of the lattice, along each side
+_WIDER = 2  # times as wide cells, for gaps of walls that are too wide for sheets of the first size
+_APART = 2.0  # of their spacings: so far from all that is known, wider cells close
 _LEVEL = 0.95  # of a normal's z: ground and floors, which go on until they meet a wall
 # How firmly a wall is held plumb: as by the points of a strip some ten cells high. Where a wall is seen at a slant,
 # or by few photos, what was measured of it leans; on its way up to the eave that would add up.
@@ -35,9 +38,22 @@ _compiled: Any = njit(nogil=True, error_model="numpy")
 
 def continued(cloud: Cloud, spacing: float, sight: Sight) -> Cloud:
     """Points (with 0 views) that continue the surfaces of `cloud` over their gaps, about one a spacing."""
-    side = CELL * spacing
+    near = _closing(cloud, CELL * spacing, _DENSE, sight)
+    wide = _closing(cloud, _WIDER * CELL * spacing, _WIDER * _DENSE, sight, walls_alone=True)
+    if not len(wide):
+        return near
+    known = cKDTree(np.concatenate([cloud.points, near.points]))
+    away = known.query(wide.points, distance_upper_bound=_APART * _WIDER * spacing, workers=-1)[0]
+    return joined(near, wide.take(np.isinf(away)))
+
+
+def _closing(cloud: Cloud, side: float, dense: int, sight: Sight, *, walls_alone: bool = False) -> Cloud:
+    """Points that continue the surfaces of `cloud`, by sheets of cells of this side, each with `dense` points along
+    its sides."""
     grid = gather(cloud.points, cloud.normals, side)
     sheets, state = fit_sheets(grid, _PLUMB if sight.z_up else 0.0)
+    if walls_alone:
+        state.reshape(-1, WIDTH * HEIGHT)[~sheets.steep] = EMPTY
     level = (sheets.axes[:, 2, 2] > _LEVEL) & sight.z_up
     gaps = np.flatnonzero(_closed(state, sheets.steep, level))
     places, directions = sheets.nodes(gaps, grid)
@@ -45,7 +61,7 @@ def continued(cloud: Cloud, spacing: float, sight: Sight) -> Cloud:
     length = _closed(state, sheets.steep, level)[gaps]
     found = np.flatnonzero(length > 0)
     kept = found[_shortest_first(places[found], length[found], side)]
-    points, normals = _spread(places[kept], directions[kept], side)
+    points, normals = _spread(places[kept], directions[kept], side, dense)
     return unseen(points, normals, cloud)
 
 
@@ -57,16 +73,18 @@ def unseen(points: np.ndarray, normals: np.ndarray, cloud: Cloud) -> Cloud:
                  confidence=np.full(count, np.median(cloud.confidence), np.float32))
 
 
-def _spread(places: np.ndarray, normals: np.ndarray, side: float) -> tuple[np.ndarray, np.ndarray]:
-    """Points and normals (n * _DENSE^2,3) float32 spread evenly over squares of this side about places (n,3)."""
+def _spread(
+    places: np.ndarray, normals: np.ndarray, side: float, dense: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points and normals (n * dense^2,3) float32 spread evenly over squares of this side about places (n,3)."""
     flat = np.abs(normals[:, 2]) > 0.99
     u = np.where(flat[:, None], [1.0, 0, 0], np.stack([-normals[:, 1], normals[:, 0], 0 * normals[:, 0]], axis=1))
     u -= (u * normals).sum(axis=1, keepdims=True) * normals
     u /= np.linalg.norm(u, axis=1, keepdims=True)
     v = np.cross(normals, u)
-    steps = (np.arange(_DENSE) - (_DENSE - 1) / 2) / _DENSE * side
+    steps = (np.arange(dense) - (dense - 1) / 2) / dense * side
     points = [places + first * u + second * v for first in steps for second in steps]
-    return np.concatenate(points).astype(np.float32), np.tile(normals, (_DENSE**2, 1)).astype(np.float32)
+    return np.concatenate(points).astype(np.float32), np.tile(normals, (dense**2, 1)).astype(np.float32)
 
 
 def _shortest_first(places: np.ndarray, gap: np.ndarray, side: float) -> np.ndarray:
