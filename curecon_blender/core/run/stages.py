@@ -343,7 +343,7 @@ STAGES = {stage.name: stage for stage in (
     DEPTH,
     Stage(name="fusion", version=3, weight=0.1, files=("cloud*.ply",), run=_fuse, in_budget=True,
           options=("min_confidence", "min_views", "max_reprojection_error", "max_depth_difference")),
-    Stage(name="mesh", version=8, weight=0.15, files=("mesh*.ply",), run=_build_meshes, inputs=_edits,
+    Stage(name="mesh", version=9, weight=0.15, files=("mesh*.ply",), run=_build_meshes, inputs=_edits,
           options=("fill_holes", "extent", "mesh_faces", "region", "region_turn")),
     Stage(name="texture", version=6, weight=0.25, files=("textured*/*",), run=_texture_meshes,
           options=("texture_size", "texture_format")),
