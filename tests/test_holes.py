@@ -81,6 +81,17 @@ def test_a_wide_gap_closes_too_however_dense_the_points_are() -> None:
     assert (heights > 0.6 * 2 / SPACING * 0.1 / SPACING).all()
 
 
+def test_a_wide_gap_behind_what_juts_out_of_a_wall_stays_open() -> None:
+    roof, low, high, before = 5.6, 2.8, 4.8, 0.5
+    bay = plane((-0.8, -before, low), (1.6, 0, 0), (0, 0, high - low))
+    made = continued(joined(house(roof), bay), SPACING, Looks(30.0, sure=False))
+    wall = made.points[(np.abs(made.normals[:, 1]) > 0.9) & (np.abs(made.points[:, 1]) < 2 * SPACING)]
+    behind = (np.abs(wall[:, 0]) < 0.6) & (wall[:, 2] > low + 0.2) & (wall[:, 2] < high - 0.2)
+    assert not behind.any()
+    beside = (np.abs(wall[:, 0]) > 1.2) & (wall[:, 2] > low + 0.2) & (wall[:, 2] < high - 0.2)
+    assert beside.sum() > 500
+
+
 @pytest.mark.parametrize("z_up", [True, False])
 def test_a_wall_goes_on_plumb_though_what_was_seen_of_it_leans_where_z_is_up(z_up: bool) -> None:
     low, lean = 1.2, 0.1

@@ -22,12 +22,13 @@ from scipy.spatial import cKDTree
 
 from ..cloud.ply import Cloud, joined
 from .cells import cell_numbers
-from .sheets import BLOCKED, CELL, EMPTY, GAP, HEIGHT, OWN, WIDTH, fit_sheets, gather
+from .sheets import BLOCKED, CELL, EMPTY, GAP, HEIGHT, OWN, RECESS, WIDTH, fit_sheets, gather
 from .sight import FINE, Sight, looked_through
 
 _DENSE = 2  # points for each node of the lattice, along each side
 _WIDER = 2  # times as wide cells, for gaps of walls that are too wide for sheets of the first size
 _APART = 2.0  # of their spacings: so far from all that is known, wider cells close
+_UPRIGHT = 0.2  # of a normal's z at most: a wall, and no steep roof
 _LEVEL = 0.95  # of a normal's z: ground and floors, which go on until they meet a wall
 # How firmly a wall is held plumb: as by the points of a strip some ten cells high. Where a wall is seen at a slant,
 # or by few photos, what was measured of it leans; on its way up to the eave that would add up.
@@ -38,22 +39,22 @@ _compiled: Any = njit(nogil=True, error_model="numpy")
 
 def continued(cloud: Cloud, spacing: float, sight: Sight) -> Cloud:
     """Points (with 0 views) that continue the surfaces of `cloud` over their gaps, about one a spacing."""
-    near = _closing(cloud, CELL * spacing, _DENSE, sight)
-    wide = _closing(cloud, _WIDER * CELL * spacing, _WIDER * _DENSE, sight, walls_alone=True)
-    if not len(wide):
+    near = _closing(cloud, CELL * spacing, sight, _DENSE)
+    if not sight.z_up:
         return near
+    wide = _closing(cloud, _WIDER * CELL * spacing, sight, _WIDER * _DENSE, wide=True)
     known = cKDTree(np.concatenate([cloud.points, near.points]))
     away = known.query(wide.points, distance_upper_bound=_APART * _WIDER * spacing, workers=-1)[0]
     return joined(near, wide.take(np.isinf(away)))
 
 
-def _closing(cloud: Cloud, side: float, dense: int, sight: Sight, *, walls_alone: bool = False) -> Cloud:
+def _closing(cloud: Cloud, side: float, sight: Sight, dense: int, *, wide: bool = False) -> Cloud:
     """Points that continue the surfaces of `cloud`, by sheets of cells of this side, each with `dense` points along
-    its sides."""
+    its sides. `wide`: upright walls alone, and not behind what stands before them, such as a dormer."""
     grid = gather(cloud.points, cloud.normals, side)
-    sheets, state = fit_sheets(grid, _PLUMB if sight.z_up else 0.0)
-    if walls_alone:
-        state.reshape(-1, WIDTH * HEIGHT)[~sheets.steep] = EMPTY
+    sheets, state = fit_sheets(grid, _PLUMB if sight.z_up else 0.0, RECESS if wide else 1)
+    if wide:
+        state.reshape(-1, WIDTH * HEIGHT)[np.abs(sheets.axes[:, 2, 2]) > _UPRIGHT] = EMPTY
     level = (sheets.axes[:, 2, 2] > _LEVEL) & sight.z_up
     gaps = np.flatnonzero(_closed(state, sheets.steep, level))
     places, directions = sheets.nodes(gaps, grid)

@@ -28,7 +28,7 @@ _LEAST = 160  # cells of points that carry a sheet
 _GOOD = 0.7  # of the points about it that must lie on a sheet
 _FULL = 0.97  # of the sheet's nodes: it has no gap
 _STEEP = 0.5  # of a normal's z: what is steeper is a wall and goes on until something stops it
-_RECESS = 4  # cells behind a gap: a surface measured there says that it is none
+RECESS = 4  # cells behind a gap: a surface measured there says that it is none
 _MOST_NEAR = 200_000  # points that a sheet is fitted to
 _BATCH = 4096  # sheets that are fitted at a time
 GAP, OWN, BLOCKED, EMPTY = 0, 1, 2, 3  # states of a node
@@ -98,8 +98,9 @@ class Sheets:
         return places.astype(np.float32), normals.astype(np.float32)
 
 
-def fit_sheets(grid: Grid, stiff: float) -> tuple[Sheets, np.ndarray]:
-    """All sheets with gaps, and the states of all their nodes. Walls are held plumb as firmly as `stiff`."""
+def fit_sheets(grid: Grid, stiff: float, ahead: int) -> tuple[Sheets, np.ndarray]:
+    """All sheets with gaps, and the states of all their nodes. Walls are held plumb as firmly as `stiff`. A surface
+    that many cells `ahead` of a gap stops it, as one behind it does."""
     cells = cell_numbers(grid.points, np.zeros(3), _SEED * grid.side)
     _, seed = np.unique(cells * 8 + _direction(grid.normals), return_index=True)
     near = np.empty(_MOST_NEAR, np.int64)
@@ -108,8 +109,8 @@ def fit_sheets(grid: Grid, stiff: float) -> tuple[Sheets, np.ndarray]:
         numbers = seed[begin : begin + _BATCH].copy()
         count = len(numbers)
         into = np.empty((count, 4)), np.empty((count, 3, 3)), np.empty((count, WIDTH * HEIGHT), np.int8)
-        found = _fit(numbers, grid.points, grid.normals, grid.buckets, grid.starts, grid.cells, grid.side, stiff, near,
-                     *into)
+        found = _fit(numbers, grid.points, grid.normals, grid.buckets, grid.starts, grid.cells, grid.side, stiff, ahead,
+                     near, *into)
         parts.append([whole[:found].copy() for whole in (numbers, *into)])
     numbers, bends, axes, state = (np.concatenate(part) for part in zip(*parts, strict=True))
     steep = np.abs(grid.normals[numbers, 2]) < _STEEP
@@ -220,7 +221,7 @@ def _axes(n, axes):  # type: ignore[no-untyped-def]
 
 
 @_compiled
-def _state_of(centre, axes, c, a, b, h, cells, side, state):  # type: ignore[no-untyped-def]
+def _state_of(centre, axes, c, a, b, h, cells, side, ahead, state):  # type: ignore[no-untyped-def]
     """Which nodes of a sheet its own points (a,b,h) lie on, what other surfaces stop, and where gaps are; returns
     whether there are any."""
     higher = _HIGHER if abs(axes[2, 2]) < _STEEP else 0
@@ -240,7 +241,7 @@ def _state_of(centre, axes, c, a, b, h, cells, side, state):  # type: ignore[no-
             height = c[0] + c[1] * x + c[2] * y + c[3] * x * x
             slope = c[1] + 2 * c[3] * x
             length = np.sqrt(1 + slope * slope + c[2] * c[2])
-            for back in range(-1, _RECESS + 1):
+            for back in range(-ahead, RECESS + 1):
                 # Along the sheet's normal there, in cells.
                 u, v, w = x + back * slope / length, y + back * c[2] / length, height - back / length
                 if _holds(cells, centre[0] + side * (u * axes[0, 0] + v * axes[1, 0] + w * axes[2, 0]),
@@ -264,7 +265,7 @@ def _state_of(centre, axes, c, a, b, h, cells, side, state):  # type: ignore[no-
 
 
 @_compiled
-def _fit(seeds, points, normals, buckets, starts, cells, side, stiff, near, bends, axes_of, states):  # type: ignore
+def _fit(seeds, points, normals, buckets, starts, cells, side, stiff, ahead, near, bends, axes_of, states):  # type: ignore
     """Writes the seeds about which there is a sheet with gaps over the first of `seeds`, and its bends, axes, and the
     states of its nodes; returns how many there are."""
     found = 0
@@ -294,7 +295,7 @@ def _fit(seeds, points, normals, buckets, starts, cells, side, stiff, near, bend
             own += abs(h[k] - c[0] - c[1] * a[k] - c[2] * b[k] - c[3] * a[k] * a[k]) < _ON
         if own < _LEAST or own < _GOOD * count:
             continue
-        if _state_of(centre, axes, c, a[:count], b[:count], h[:count], cells, side, states[found]):
+        if _state_of(centre, axes, c, a[:count], b[:count], h[:count], cells, side, ahead, states[found]):
             seeds[found] = seed
             for k in range(4):
                 bends[found, k] = c[k]
