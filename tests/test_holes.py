@@ -15,7 +15,7 @@ from curecon_blender.core.base.records import Component, Frame, View
 from curecon_blender.core.cloud.ply import Cloud, joined
 from curecon_blender.core.surface.borders import clip
 from curecon_blender.core.surface.build import SHARES, MeshOptions, build_mesh
-from curecon_blender.core.surface.continuation import continued
+from curecon_blender.core.surface.continuation import continued, over_wide_gaps
 from curecon_blender.core.surface.extent import FAR, find_building, within
 from curecon_blender.core.surface.mesh import MeshError
 from curecon_blender.core.surface.sight import Glance, Sight, looked_through, weak_points
@@ -74,7 +74,7 @@ def test_a_wall_goes_on_up_to_its_roof_where_no_photo_is_sure() -> None:
 
 def test_a_wide_gap_closes_too_however_dense_the_points_are() -> None:
     roof = 5.6
-    made = continued(house(roof), SPACING, Looks(30.0, sure=False))
+    made = over_wide_gaps(house(roof), SPACING, Looks(30.0, sure=False))
     middle = made.points[(np.abs(made.normals[:, 1]) > 0.9) & (np.abs(made.points[:, 0]) < 1)]
     assert np.abs(middle[:, 1]).max() < 2 * SPACING and middle[:, 2].max() < roof + SPACING
     heights = np.histogram(middle[:, 2], np.arange(TOP + 0.2, roof - 0.3, 0.1))[0]
@@ -84,7 +84,7 @@ def test_a_wide_gap_closes_too_however_dense_the_points_are() -> None:
 def test_a_wide_gap_behind_what_juts_out_of_a_wall_stays_open() -> None:
     roof, low, high, before = 5.6, 2.8, 4.8, 0.5
     bay = plane((-0.8, -before, low), (1.6, 0, 0), (0, 0, high - low))
-    made = continued(joined(house(roof), bay), SPACING, Looks(30.0, sure=False))
+    made = over_wide_gaps(joined(house(roof), bay), SPACING, Looks(30.0, sure=False))
     wall = made.points[(np.abs(made.normals[:, 1]) > 0.9) & (np.abs(made.points[:, 1]) < 2 * SPACING)]
     behind = (np.abs(wall[:, 0]) < 0.6) & (wall[:, 2] > low + 0.2) & (wall[:, 2] < high - 0.2)
     assert not behind.any()

@@ -33,7 +33,7 @@ from ..base.messages import Reporter
 from ..cloud.ply import Cloud, joined
 from .borders import clip, smoothed
 from .clean import clean, drop_small_parts, orient, worth_keeping
-from .continuation import continued
+from .continuation import continued, over_wide_gaps
 from .crossing import uncrossed
 from .eaves import under_eaves
 from .extent import FAR, NEAR, find_building, within
@@ -56,7 +56,7 @@ _MARGIN = 10.0  # median spacings: what lies just outside of region or site stil
 
 
 SHARES = (25, 35, 15, 15, 10)  # per cent of the time that each step takes
-_PASSES = 8  # times that each depth map is read
+_PASSES = 7  # times that each depth map is read
 WAITS = 15.0, 10.0  # seconds in which a million points go half through Poisson, and a million faces to fewer
 
 
@@ -230,6 +230,8 @@ def _continued(
             gaps = joined(gaps, walls)
         # What was closed goes on as well, and the ground to walls under eaves.
         gaps = joined(gaps, continued(joined(subject, gaps), spacing, sight))
+        if sight.z_up:
+            gaps = joined(gaps, over_wide_gaps(joined(subject, gaps), spacing, sight))
         reporter.log(f"{len(gaps)} points continue walls, roofs and ground over gaps.")
     if options.extent == "site" and sight and sight.z_up:
         ground, site = closed_ground(cloud, gaps, spacing, sight)

@@ -20,7 +20,7 @@ import numpy as np
 from numba import njit
 from scipy.spatial import cKDTree
 
-from ..cloud.ply import Cloud, joined
+from ..cloud.ply import Cloud
 from .cells import cell_numbers
 from .sheets import BLOCKED, CELL, EMPTY, GAP, HEIGHT, OWN, RECESS, WIDTH, fit_sheets, gather
 from .sight import FINE, Sight, looked_through
@@ -39,13 +39,15 @@ _compiled: Any = njit(nogil=True, error_model="numpy")
 
 def continued(cloud: Cloud, spacing: float, sight: Sight) -> Cloud:
     """Points (with 0 views) that continue the surfaces of `cloud` over their gaps, about one a spacing."""
-    near = _closing(cloud, CELL * spacing, sight, _DENSE)
-    if not sight.z_up:
-        return near
+    return _closing(cloud, CELL * spacing, sight, _DENSE)
+
+
+def over_wide_gaps(cloud: Cloud, spacing: float, sight: Sight) -> Cloud:
+    """As `continued`, over the gaps of upright walls that are too wide for it. Z is up."""
     wide = _closing(cloud, _WIDER * CELL * spacing, sight, _WIDER * _DENSE, wide=True)
-    known = cKDTree(np.concatenate([cloud.points, near.points]))
-    away = known.query(wide.points, distance_upper_bound=_APART * _WIDER * spacing, workers=-1)[0]
-    return joined(near, wide.take(np.isinf(away)))
+    known, reach = cKDTree(cloud.points), _APART * _WIDER * spacing
+    away = np.isinf(known.query(wide.points, distance_upper_bound=reach, workers=-1)[0]) if len(wide) else []
+    return wide.take(np.flatnonzero(away))
 
 
 def _closing(cloud: Cloud, side: float, sight: Sight, dense: int, *, wide: bool = False) -> Cloud:
