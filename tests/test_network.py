@@ -38,7 +38,7 @@ from curecon_blender.core.network.model import (
     t_from_depth,
     warp,
 )
-from curecon_blender.core.network.weights import load_network
+from curecon_blender.core.network.weights import describe, load_network, save_network
 from curecon_blender.core.views.scores import depth_range, matching_score, nearest_supported
 from training.losses import linear_label, unified_label
 
@@ -212,6 +212,16 @@ def test_the_shipped_weights_find_the_depth_of_a_scene(tmp_path: Path) -> None:
     assert np.median(error) < 0.02
     sure = confidence[seen] > np.median(confidence[seen])
     assert error[sure].mean() < error[~sure].mean()  # confidence means something
+
+
+def test_weights_come_back_as_they_were_saved(tmp_path: Path) -> None:
+    network, path = load_network(), tmp_path / "weights.safetensors"
+    torch.nn.init.normal_(network.refinement.leave.weight)
+    save_network(network, path, {"samples": 3})
+    again = load_network(path)
+    assert describe(path)["samples"] == 3 and again.config == network.config
+    for name, value in network.state_dict().items():
+        torch.testing.assert_close(again.state_dict()[name], value, rtol=5e-4, atol=1e-6)
 
 
 def test_tiles_cover_the_photo_and_what_they_see_of_sources_fits_the_budget() -> None:

@@ -22,6 +22,7 @@ from curecon_blender.core.network.refinement import (
     plain_refined_depth,
     rasterise_points,
     refined_depth,
+    sampled_refined_depth,
     window_planes,
 )
 
@@ -115,7 +116,7 @@ def test_what_lies_at_the_other_end_of_a_picture_tells_what_is_likely_here(liste
     refinement = Refinement(8)
     torch.nn.init.normal_(refinement.leave.weight)
     for parameter in refinement.surroundings.parameters() if listens else ():
-        torch.nn.init.normal_(parameter, std=0.1)
+        torch.nn.init.normal_(parameter, std=0.06)
     picture, sure = torch.rand(1, 3, 64, 960), torch.full((1, 3, 64, 960), 0.9)
     nothing = torch.zeros(1, 2 * POINT_KINDS, 16, 240)
     far = picture.clone()
@@ -123,6 +124,7 @@ def test_what_lies_at_the_other_end_of_a_picture_tells_what_is_likely_here(liste
     with torch.inference_mode():
         here, there = (refinement(colours, sloping(64, 960), sure, INTERVAL, nothing).logits[..., -8:]
                        for colours in (picture, far))
+    assert here.isfinite().all()
     assert (not torch.allclose(here, there, rtol=0, atol=1e-6)) == listens
 
 
@@ -141,3 +143,20 @@ def test_the_fused_choice_is_the_plain_one(decided: float) -> None:
     # Where a candidate lies just within reach of another, or just not, a last bit may decide.
     assert ((fused_t - plain.t).abs() < 1e-5).float().mean() > 0.999
     torch.testing.assert_close(fused_confidence, plain.confidence_logit)
+
+
+def test_what_training_samples_is_the_choice_at_those_pixels() -> None:
+    torch.manual_seed(0)
+    refinement = Refinement(8)
+    torch.nn.init.normal_(refinement.leave.weight, std=0.3)
+    t = sloping(64, 96) + 0.02 * torch.randn(1, 1, 64, 96)
+    with torch.inference_mode():
+        proposal = proposed(refinement, t)
+        whole = plain_refined_depth(t, proposal, INTERVAL)
+        for column, row in ((0, 0), (1, 0), (0, 1), (1, 1)):
+            sampled = sampled_refined_depth(t, proposal, INTERVAL, (column, row))
+            same = (sampled.t - whole.t[..., row::2, column::2]).abs() < 1e-5
+            assert same.float().mean() > 0.999  # where two candidates are as likely, a last bit may decide
+            for name in ("candidates", "probability", "confidence_logit"):
+                torch.testing.assert_close(getattr(sampled, name), getattr(whole, name)[..., row::2, column::2],
+                                           rtol=0, atol=1e-5)

@@ -26,7 +26,7 @@ from torch import Tensor
 
 from curecon_blender.core.base.allocator import use_large_pages
 from curecon_blender.core.network.model import MULTIPLE, LCMMVSNet, level_confidences, t_from_depth
-from curecon_blender.core.network.refinement import Refinement, plain_refined_depth, rasterise_points
+from curecon_blender.core.network.refinement import Refinement, rasterise_points, sampled_refined_depth
 from curecon_blender.core.network.weights import SHIPPED
 from training.dataset import Sample, training_sample
 from training.generator import load
@@ -44,7 +44,7 @@ from training.train import (
 )
 
 SIZES = (768, 576), (512, 384)  # of a map
-CROP = 512, 384  # of a step: whole windows of the refinement must fit
+CROPS = (768, 576), (512, 384), (512, 384)  # of a step, if the map is as large: windows of the refinement must fit
 VIEWS_A_MAP = 10  # of a scene for each of its maps, one in any case
 SOURCES = 2, 3, 4, 4, 4, 5
 WITHOUT_POINTS = 0.15  # of the steps have no sparse points
@@ -101,9 +101,9 @@ def crop_of(path: Path, rng: np.random.Generator) -> dict[str, Tensor]:
     """A random crop of a map, mirrored or not, as the refinement's arguments: (1,C,H,W) each."""
     with np.load(path) as data:
         height, width = data["t"].shape
-        y = int(rng.integers((height - CROP[1]) // MULTIPLE + 1)) * MULTIPLE
-        x = int(rng.integers((width - CROP[0]) // MULTIPLE + 1)) * MULTIPLE
-        cut = np.s_[..., y : y + CROP[1], x : x + CROP[0]]
+        crop = np.minimum(CROPS[int(rng.integers(len(CROPS)))], (width, height))
+        x, y = (int(rng.integers(spare // MULTIPLE + 1)) * MULTIPLE for spare in (width, height) - crop)
+        cut = np.s_[..., y : y + crop[1], x : x + crop[0]]
         scale = {"image": _COLOURS, "t": _UNIT, "shares": _UNIT, "truth": _UNIT, "valid": 1, "whole": 1}
         parts = {name: np.moveaxis(data[name], -1, 0) if name == "image" else data[name] for name in scale}
         found = {name: torch.from_numpy(np.atleast_3d(parts[name][cut].astype(np.float32)) / scale[name])
@@ -111,7 +111,7 @@ def crop_of(path: Path, rng: np.random.Generator) -> dict[str, Tensor]:
         interval = torch.tensor(float(data["interval"]))
         points = spoiled(data["points"] - np.array((x, y, 0, 0), np.float32), rng)
         near, far = float(data["near"]), float(data["far"])
-        grid = rasterise_points(points, near, far, CROP)
+        grid = rasterise_points(points, near, far, (int(crop[0]), int(crop[1])))
     found = {name: (value if len(value) == 3 else value.permute(2, 0, 1))[None] for name, value in found.items()}
     found["points"] = torch.from_numpy(grid)[None]
     for axis in (2, 3):
@@ -135,12 +135,15 @@ def step(state: State, crop: dict[str, Tensor], horizon: int, rate: float) -> di
     """One optimiser step of the refinement; returns the figures for the log, those of the cascade among them."""
     for group in state.optimiser.param_groups:
         group["lr"] = rate * learning_rate(state.steps, horizon)
-    truth, interval = crop["truth"], float(crop["interval"])
-    valid, whole = crop["valid"] > 0, crop["whole"] > 0
+    interval = float(crop["interval"])
     with torch.autocast("cpu", torch.bfloat16, enabled=BF16):
         refinement = cast(Refinement, state.network.refinement)
         proposal = refinement(crop["image"], crop["t"], crop["shares"], interval, crop["points"])
-    refined = plain_refined_depth(crop["t"], proposal, interval)
+    first = state.steps % 2, state.steps // 2 % 2
+    refined = sampled_refined_depth(crop["t"], proposal, interval, first)
+    t, truth, valid, whole = (crop[name][..., first[1] :: 2, first[0] :: 2]
+                              for name in ("t", "truth", "valid", "whole"))
+    valid, whole = valid > 0, whole > 0
     value = refinement_loss(refined, truth, valid, whole, interval, crop["ratio"])
     state.optimiser.zero_grad(set_to_none=True)
     value.backward()
@@ -149,8 +152,8 @@ def step(state: State, crop: dict[str, Tensor], horizon: int, rate: float) -> di
     state.steps += 1
     update_ema(state)
     figures = {"loss": value.item()}
-    for name, t in (("", refined.t), ("cascade_", crop["t"])):
-        error = ((t - truth).abs() * INTERVALS)[valid]
+    for name, found in (("", refined.t), ("cascade_", t)):
+        error = ((found - truth).abs() * INTERVALS)[valid]
         pixels = max(len(error), 1)
         figures[f"{name}epe"] = error.clamp_max(64).sum().item() / pixels
         figures[f"{name}e1"] = (error > 1).sum().item() / pixels * 100

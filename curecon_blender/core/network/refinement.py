@@ -40,8 +40,9 @@ _COORDINATE = 50.0  # pixels of a quarter to one unit of the fits' coordinates, 
 _MIN_WEIGHT = 1e-5  # of a pixel without any confidence
 _RIDGE = 1e-4  # of a window's spread, in those units squared: a window with one confident pixel gives a level plane
 _WIDTHS = (1, 2, 2, 2)  # of the U-Net at each scale, times its channels
-_SURROUNDINGS = 128  # channels of what looks over the whole picture
-_DILATIONS = (1, 2, 4, 1, 2, 4)  # of its blocks, in pixels of the U-Net's coarsest scale
+# What looks over the whole picture at the U-Net's scales, the coarsest first and not at the finest: its channels, and
+# its blocks' dilations in pixels of the scale.
+_SURROUNDINGS = ((128, (1, 2, 4) * 4), (128, (1, 2, 4, 8) * 2), (64, (1, 2, 4, 8)))
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,8 @@ class Refinement(nn.Module):
         self.down = nn.ModuleList(_conv(w, wider, stride=2) for w, wider in steps)
         self.up = nn.ModuleList(nn.ConvTranspose2d(wider, w, 2, 2) for w, wider in steps[::-1])
         self.merge = nn.ModuleList(_conv(w) for w in widths[-2::-1])
-        self.surroundings = Surroundings(widths[-1], 3 + 2 * POINT_KINDS)
+        self.surroundings = nn.ModuleList(Surroundings(width, 3 + 2 * POINT_KINDS, *sizes)
+                                          for width, sizes in zip(widths[:0:-1], _SURROUNDINGS, strict=True))
         self.belong = nn.Conv2d(c, PLANES, 1)
         self.leave = nn.Conv2d(c, (CANDIDATES + 2) * STEP**2, 1)
         with torch.no_grad():  # begins by keeping every pixel's own estimate
@@ -116,35 +118,37 @@ class Refinement(nn.Module):
         for scale, at in enumerate(self.at):
             x = at(self.down[scale - 1](x) if scale else x)
             skips.append(x)
-        x = skips.pop()
-        x = x + self.surroundings(x, F.avg_pool2d(depths, 2 ** (len(_WIDTHS) - 1)))
-        for up, merge in zip(self.up, self.merge, strict=True):
+        x = self.surroundings[0](skips.pop(), depths)
+        for up, merge, surroundings in zip(self.up, self.merge, (*self.surroundings[1:], None), strict=True):
             x = merge(up(x) + skips.pop())
+            x = surroundings(x, depths) if surroundings else x
         return x
 
 
 class Surroundings(nn.Module):
-    """What the whole picture says of each pixel of the U-Net's coarsest scale: features (B,C,h,w) to add to those it
-    has, from those and from `depths` (B,D,h,w), how deep it lies. Begins by saying nothing, so that weights from before
-    it are good weights to begin with."""
+    """Adds to the features (B,C,h,w) of one of the U-Net's scales what the whole picture says of each pixel, from those
+    and from `depths` (B,D,H,W) of the finest scale, how deep it lies. Within are `channels` and a block for each of
+    the dilations. Begins by adding nothing, so that weights from before it are good weights to begin with."""
 
-    def __init__(self, channels: int, depths: int) -> None:
+    def __init__(self, features: int, depths: int, channels: int, dilations: tuple[int, ...]) -> None:
         super().__init__()
-        self.enter = nn.Sequential(nn.Conv2d(channels + depths, _SURROUNDINGS, 1), nn.ReLU())
-        self.blocks = nn.ModuleList(nn.Sequential(_dilated(dilation), nn.ReLU(), _dilated(dilation))
-                                    for dilation in _DILATIONS)
-        self.overall = nn.ModuleList(nn.Conv2d(_SURROUNDINGS, _SURROUNDINGS, 1) for _ in _DILATIONS)
-        self.leave = nn.Conv2d(_SURROUNDINGS, channels, 1)
+        c = channels
+        self.enter = nn.Sequential(nn.Conv2d(features + depths, c, 1), nn.ReLU())
+        self.blocks = nn.ModuleList(nn.Sequential(_dilated(c, dilation), nn.ReLU(), _dilated(c, dilation))
+                                    for dilation in dilations)
+        self.overall = nn.ModuleList(nn.Conv2d(c, c, 1) for _ in dilations)
+        self.leave = nn.Conv2d(c, features, 1)
         for silent in (*(cast(nn.Sequential, block)[-1] for block in self.blocks), *self.overall, self.leave):
             for parameter in silent.parameters():
                 nn.init.zeros_(parameter)
 
     def forward(self, features: Tensor, depths: Tensor) -> Tensor:
-        x = self.enter(torch.cat([features, depths], 1))
+        h, w = features.shape[2:]
+        x = self.enter(torch.cat([features, F.adaptive_avg_pool2d(depths, (h, w))], 1))
         for block, overall in zip(self.blocks, self.overall, strict=True):
             x = F.relu(x + block(x) + overall(x.mean((2, 3), keepdim=True)))
-        said: Tensor = self.leave(x)
-        return said
+        told: Tensor = features + self.leave(x)
+        return told
 
 
 def refined_depth(t: Tensor, proposal: Proposal, interval: float) -> tuple[Tensor, Tensor]:
@@ -159,8 +163,26 @@ def refined_depth(t: Tensor, proposal: Proposal, interval: float) -> tuple[Tenso
 def plain_refined_depth(t: Tensor, proposal: Proposal, interval: float) -> Refined:
     """What `refined_depth` computes, and what it rests on, in torch's own operations: for graphics cards and for
     training."""
-    candidates = torch.cat([t, evaluate_planes(proposal.planes, STEP)], 1)
-    choice, offset, confidence_logit = F.pixel_shuffle(proposal.logits, STEP).split([CANDIDATES, 1, 1], 1)
+    return _chosen(t, proposal.logits, evaluate_planes(proposal.planes, STEP), interval)
+
+
+def sampled_refined_depth(t: Tensor, proposal: Proposal, interval: float, first: tuple[int, int]) -> Refined:
+    """`plain_refined_depth` at every second pixel alone, both ways: those from `first` (column, row), each 0 or 1. For
+    training, whose time mostly goes into candidates: pixels side by side teach much the same."""
+    column, row = first
+    per_block = proposal.logits.unflatten(1, (-1, STEP, STEP))[:, :, row::2, column::2]
+    planes = proposal.planes
+    shifts = [(at - 0.5) / STEP / _COORDINATE for at in first]
+    level = planes[:, :, :1] + planes[:, :, 1:2] * shifts[0] + planes[:, :, 2:] * shifts[1]
+    values = evaluate_planes(torch.cat([level, planes[:, :, 1:]], 2), STEP // 2)
+    return _chosen(t[..., row::2, column::2], per_block.flatten(1, 3), values, interval)
+
+
+def _chosen(t: Tensor, logits: Tensor, values: Tensor, interval: float) -> Refined:
+    """What is chosen between t (B,1,H,W) and the planes' values (B,C-1,H,W) by the logits of blocks of pixels."""
+    candidates = torch.cat([t, values], 1)
+    block = values.shape[-1] // logits.shape[-1]
+    choice, offset, confidence_logit = F.pixel_shuffle(logits, block).split([CANDIDATES, 1, 1], 1)
     probability = torch.softmax(choice, 1)
     likeliest = candidates.gather(1, _likeliest(candidates, probability, AGREEMENT * interval))
     agreeing = ((candidates - likeliest).abs() < AGREEMENT * interval) * probability
@@ -279,8 +301,8 @@ def _enlarged(quarter: Tensor) -> Tensor:
     return F.interpolate(quarter, scale_factor=float(STEP), mode="nearest")
 
 
-def _dilated(dilation: int) -> nn.Conv2d:
-    return nn.Conv2d(_SURROUNDINGS, _SURROUNDINGS, 3, 1, dilation, dilation)
+def _dilated(channels: int, dilation: int) -> nn.Conv2d:
+    return nn.Conv2d(channels, channels, 3, 1, dilation, dilation)
 
 
 def _conv(inputs: int, outputs: int | None = None, stride: int = 1) -> nn.Sequential:

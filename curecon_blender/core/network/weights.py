@@ -11,6 +11,7 @@ from typing import Any
 
 import safetensors.torch
 import torch
+from torch import Tensor
 
 from ..base.errors import OutOfMemory, WeightsError, ran_out_of_memory
 from ..base.files import write_json
@@ -77,12 +78,15 @@ def _config(fields: Any) -> NetworkConfig:
 
 def save_network(network: LCMMVSNet, path: Path, facts: dict[str, Any]) -> None:
     """Write a weights file with its JSON record (checksum, config, and `facts` such as the samples seen)."""
-    tensors = {
-        name: value.detach().cpu().contiguous() if value.dim() else value.detach().cpu()
-        for name, value in network.state_dict().items()
-    }
-    content = safetensors.torch.save({n: t.to(torch.float32) if t.is_floating_point() else t
-                                      for n, t in tensors.items()})
+    content = safetensors.torch.save({name: _stored(name, value) for name, value in network.state_dict().items()})
     path.write_bytes(content)
     write_json(path.with_suffix(".json"),
                {"sha256": hashlib.sha256(content).hexdigest(), "config": asdict(network.config), **facts})
+
+
+def _stored(name: str, value: Tensor) -> Tensor:
+    """A tensor as it is written: the refinement's kernels, most of all numbers, in float16, all others in float32."""
+    if not value.is_floating_point():
+        return value.cpu()
+    kernel = name.startswith("refinement.") and value.dim() > 1
+    return value.detach().cpu().to(torch.float16 if kernel else torch.float32).contiguous()
