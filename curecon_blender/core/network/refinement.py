@@ -6,10 +6,10 @@ What no source sees, or what is too plain to match, mostly goes on as the surfac
 points lie on it, for some photo of the flight has seen what the four source views have not. Planes are straight in
 inverse depth, so one is fitted in closed form through the confident pixels and the points of windows of three sizes,
 around each pixel and to its four sides, and through the points alone around it. A small 2D U-Net at a quarter of the
-photo sees the photo, the cascade's estimate with its confidence, and the points; at its coarsest scale it looks over
-the whole picture. It selects the pixels of a few planes that reach across the picture (the ground behind a building is
-the ground before it), chooses between a pixel's own estimate and the values of all those planes there, and predicts the
-choice's confidence. It goes beyond the paper; see docs/design/network.md.
+photo sees the photo, the cascade's estimate with its confidence, and the points; at all but its finest scale it looks
+over the whole picture. It selects the pixels of a few planes that reach across the picture (the ground behind a
+building is the ground before it), chooses between a pixel's own estimate and the values of all those planes there, and
+predicts the choice's confidence. It goes beyond the paper; see docs/design/network.md.
 
 Shapes as in model.py; a quarter is h, w = H/4, W/4.
 """

@@ -39,20 +39,21 @@ _compiled: Any = njit(nogil=True, error_model="numpy")
 
 def continued(cloud: Cloud, spacing: float, sight: Sight) -> Cloud:
     """Points (with 0 views) that continue the surfaces of `cloud` over their gaps, about one a spacing."""
-    return _closing(cloud, CELL * spacing, sight, _DENSE)
+    return _closing(cloud, spacing, sight)
 
 
 def over_wide_gaps(cloud: Cloud, spacing: float, sight: Sight) -> Cloud:
     """As `continued`, over the gaps of upright walls that are too wide for it. Z is up."""
-    wide = _closing(cloud, _WIDER * CELL * spacing, sight, _WIDER * _DENSE, wide=True)
+    wide = _closing(cloud, spacing, sight, _WIDER)
     known, reach = cKDTree(cloud.points), _APART * _WIDER * spacing
     away = np.isinf(known.query(wide.points, distance_upper_bound=reach, workers=-1)[0]) if len(wide) else []
     return wide.take(np.flatnonzero(away))
 
 
-def _closing(cloud: Cloud, side: float, sight: Sight, dense: int, *, wide: bool = False) -> Cloud:
-    """Points that continue the surfaces of `cloud`, by sheets of cells of this side, each with `dense` points along
-    its sides. `wide`: upright walls alone, and not behind what stands before them, such as a dormer."""
+def _closing(cloud: Cloud, spacing: float, sight: Sight, wider: int = 1) -> Cloud:
+    """Points that continue the surfaces of `cloud`, by sheets whose cells are so many times as wide as usual. Wider
+    ones continue upright walls alone, and not behind what stands before them, such as a dormer."""
+    side, wide = wider * CELL * spacing, wider > 1
     grid = gather(cloud.points, cloud.normals, side)
     sheets, state = fit_sheets(grid, _PLUMB if sight.z_up else 0.0, RECESS if wide else 1)
     if wide:
@@ -64,7 +65,7 @@ def _closing(cloud: Cloud, side: float, sight: Sight, dense: int, *, wide: bool 
     length = _closed(state, sheets.steep, level)[gaps]
     found = np.flatnonzero(length > 0)
     kept = found[_shortest_first(places[found], length[found], side)]
-    points, normals = _spread(places[kept], directions[kept], side, dense)
+    points, normals = _spread(places[kept], directions[kept], side, wider * _DENSE)
     return unseen(points, normals, cloud)
 
 
